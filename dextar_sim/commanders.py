@@ -34,11 +34,11 @@ class CommanderArbiter:
     that of a commander started again, and begins a new count.
 
     What can slip through: the message of a second speaker whose number lies among the
-        few that the first one might give
-    next, that is, who has spoken as often as the first one although nothing was heard
-    of it for ``SPEAKING``. It can be taken until the first one is heard again, in
-    general one period later, whose number then steps back or repeats. The first message
-    of a commander that has just been started is numbered 1 and cannot.
+    few that the first one might give next, that is, who has spoken as often as the
+    first one although nothing was heard of it for ``SPEAKING``. It can be taken until
+    the first one is heard again, in general one period later, whose number then steps
+    back or repeats. The first message of a commander that has just been started is
+    numbered 1 and cannot.
 
     Args:
         publishers: counts the topic's publishers in the graph.

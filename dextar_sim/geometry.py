@@ -139,9 +139,8 @@ def joints_dot_at(
     x_dot.
 
     Each leg: x_dot = l1 n_1 q_dot + l2 n_2 omega, with u along and n left of a link.
-        The parts along
-    u_2 and u_1 give q_dot = x_dot . u_2 / (l1 sin q_passive), omega = -x_dot . u_1 /
-    (l2 sin q_passive).
+    The parts along u_2 and u_1 give q_dot = x_dot . u_2 / (l1 sin q_passive), omega =
+    -x_dot . u_1 / (l2 sin q_passive).
 
     Args:
         robot: the description.

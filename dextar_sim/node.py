@@ -84,6 +84,11 @@ class PlantNode(DextarNode):
     """Simulates a five-bar with the topics of a real one, and publishes the truth under
     ``sim/``.
 
+    Attributes:
+        lockstep: each step waits for its command.
+        paced: samples are due at the steady clock's times; always without lockstep.
+        answered: the command for the published state is here.
+
     Raises:
         ParameterError: a parameter is out of its range, or a window is wanted without a
             display.
@@ -94,8 +99,9 @@ class PlantNode(DextarNode):
     PARAMETERS = PARAMETERS
 
     def __init__(self, *, cli_args: list[str] | None = None) -> None:
+        # here: --help needs no physics
         from dextar_sim.disturbances import Disturbances
-        from dextar_sim.effects import Effects  # here: --help needs no physics
+        from dextar_sim.effects import Effects
         from dextar_sim.plant import Plant, urdf_of
 
         super().__init__(cli_args=cli_args)

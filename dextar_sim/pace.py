@@ -9,9 +9,12 @@ away for longer than ``MOST_BEHIND`` loses that time.
 from __future__ import annotations
 
 import time
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from rclpy.executors import Executor
+
+if TYPE_CHECKING:
+    from dextar_sim.node import PlantNode
 
 SHORTEST = 0.75
 """Share of the period below which two deadlines never come together, however late the
@@ -75,61 +78,14 @@ def keeping_pace(steps: int, late: int, ran: int, period: int) -> list[str]:
     return told
 
 
-class Paced(Protocol):
-    """What the loop needs of the plant node.
-
-    Attributes:
-        lockstep: each step waits for its command.
-        paced: samples are due at the steady clock's times; always without lockstep.
-        answered: the command for the published state is here.
-    """
-
-    lockstep: bool
-    paced: bool
-    answered: bool
-    period_ns: int
-    schedule: Schedule
-
-    @property
-    def paused(self) -> bool:
-        """Whether no sample is due."""
-
-    @property
-    def sample_ready(self) -> bool:
-        """Whether the next state is computed and not yet published."""
-
-    @property
-    def awaited(self) -> bool:
-        """Whether somebody commands, and has not answered the published state yet."""
-
-    def begin(self) -> None:
-        """Prepare the first state."""
-
-    def listen(self) -> None:
-        """Take the commands that have come."""
-
-    def wait(self, seconds: float) -> None:
-        """Sleep until a command comes, at most for so long, s."""
-
-    def advance(self) -> None:
-        """Compute the next state."""
-
-    def publish(self) -> None:
-        """Send the prepared state."""
-
-    def repeat_unanswered(self) -> None:
-        """Send the last state again when its answer is long missing."""
-
-
 class Schedule:
     """Knows when the samples of a periodic task are due, ns of the steady clock.
 
     The due times lie whole periods apart. A sample that is late does not move the later
-        ones: their deadlines follow it by
-    ``SHORTEST`` periods at least, by ``PATIENT`` ones where its command is awaited,
-    until one is on time again; no two samples come closer than half a period. Lateness
-    beyond ``MOST_BEHIND`` (and beyond a period) is dropped: the due times move by all
-    of it.
+    ones: their deadlines follow it by ``SHORTEST`` periods at least, by ``PATIENT``
+    ones where its command is awaited, until one is on time again; no two samples come
+    closer than half a period. Lateness beyond ``MOST_BEHIND`` (and beyond a period) is
+    dropped: the due times move by all of it.
 
     Args:
         period: ns.
@@ -226,7 +182,7 @@ class Schedule:
         self._last = deadline if missed <= JITTER * self._period else now
 
 
-def cycle(node: Paced, executor: Executor) -> None:
+def cycle(node: PlantNode, executor: Executor) -> None:
     """Do one sample: take its command, simulate, and publish the state at its deadline;
     or spend some of the waiting for that command.
 
@@ -267,7 +223,7 @@ def cycle(node: Paced, executor: Executor) -> None:
     node.publish()
 
 
-def _pass(node: Paced, executor: Executor, left: float) -> None:
+def _pass(node: PlantNode, executor: Executor, left: float) -> None:
     """Spend some of the time until the work begins; a sample that makes lateness up
     waits for its command, to begin with it.
     """
@@ -278,7 +234,7 @@ def _pass(node: Paced, executor: Executor, left: float) -> None:
         node.wait(left)
 
 
-def _await_command(node: Paced, executor: Executor) -> None:
+def _await_command(node: PlantNode, executor: Executor) -> None:
     """Wait in lockstep for the command of a step."""
     node.wait(SERVED_EACH)
     if node.schedule.serve(time.monotonic_ns()):

@@ -515,9 +515,8 @@ class PlatformMotion:
             late: substeps.
             blow: force on the end effector over the first substep, N.
         """
-        self._pack(
-            self._drive, 0, *first, *last, *blow, late
-        )  # in the order of drive_layout
+        # in the order of drive_layout
+        self._pack(self._drive, 0, *first, *last, *blow, late)
         left, right = self._sines
         chart = (
             PLATFORM

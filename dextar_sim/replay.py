@@ -34,7 +34,7 @@ BLACK, GREY, RED = (0.0, 0.0, 0.0), (0.5, 0.5, 0.5), (0.65, 0.15, 0.05)
 MOST_SEGMENTS = 120  # of a drawn line: the window takes its time for each
 
 
-class RecordedMotion(NamedTuple):
+class ReplayMotion(NamedTuple):
     """A recorded motion, frame by frame.
 
     Attributes:
@@ -75,7 +75,7 @@ class Player:
         ParameterError: the window cannot be opened.
     """
 
-    def __init__(self, motion: RecordedMotion, window: bool) -> None:
+    def __init__(self, motion: ReplayMotion, window: bool) -> None:
         if window and not os.environ.get("DISPLAY"):
             raise ParameterError(
                 "PyBullet's window needs a display, and DISPLAY is not set"
@@ -116,10 +116,11 @@ class Player:
             replaceItemUniqueId=self._mark,
             physicsClientId=self.client,
         )
+        # no -0.000
         moment, s = (
             round(float(value), 3) + 0.0
             for value in (motion.time[frame], motion.s[frame])
-        )  # no -0.000
+        )
         text = "  ".join(
             [
                 f"{moment:.3f} s",
@@ -176,7 +177,7 @@ class Player:
                 )
 
 
-def read_motion(file: Path) -> RecordedMotion:
+def read_motion(file: Path) -> ReplayMotion:
     """Read the motion from a file.
 
     Raises:
@@ -184,10 +185,10 @@ def read_motion(file: Path) -> RecordedMotion:
     """
     try:
         with np.load(file) as content:
-            missing = [name for name in RecordedMotion._fields if name not in content]
+            missing = [name for name in ReplayMotion._fields if name not in content]
             if missing:
                 raise ParameterError(f"the motion {file} has no {', '.join(missing)}")
-            found = RecordedMotion(*(content[name] for name in RecordedMotion._fields))
+            found = ReplayMotion(*(content[name] for name in ReplayMotion._fields))
     except (OSError, ValueError) as error:
         raise ParameterError(f"cannot read the motion {file}: {error}") from error
     return found._replace(speed=float(found.speed), robot=str(found.robot))

@@ -52,7 +52,7 @@ class MeasuredPose(NamedTuple):
     x: Array  # (2,)
 
 
-class JointSample(NamedTuple):
+class ControllerInput(NamedTuple):
     """What reaches the controller in one period.
 
     Attributes:
@@ -270,12 +270,12 @@ class Rig:
         told = self._index * self.period + self._stamps.next()
         if self._loss and self._losses.random() < self._loss:
             self.samples_lost += 1
-            self._sample: JointSample | None = None
+            self._sample: ControllerInput | None = None
         else:
-            self._sample = JointSample(told, np.array(q_a), self._pose)
+            self._sample = ControllerInput(told, np.array(q_a), self._pose)
             self._pose = None
 
-    def read(self) -> JointSample | None:
+    def read(self) -> ControllerInput | None:
         """Return the present sample; None when it was lost."""
         return self._sample
 

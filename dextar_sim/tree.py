@@ -63,9 +63,8 @@ def functions_of(mechanism: Mechanism) -> Mapping[str, ca.Function]:
     interpreted.
 
     closed: x, x_dot -> q_a, joints, joints_dot. truth: joints as held, joints_dot, lead
-        (s) by which held is ahead,
-    time -> state, a record of ``state_layout``. push: joints, force on the platform ->
-    forces at all joints.
+    (s) by which held is ahead, time -> state, a record of ``state_layout``. push:
+    joints, force on the platform -> forces at all joints.
     """
     vector, p = mechanism.symbols()
     bodies = mechanism.bodies(p)

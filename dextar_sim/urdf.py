@@ -121,9 +121,8 @@ def _joint(
     name: str, parent: str, child: str, origin: Point, angle: float, prismatic: bool
 ) -> str:
     kind, axis = ("prismatic", "1 0 0") if prismatic else ("continuous", "0 0 1")
-    limit = (
-        '<limit lower="1" upper="-1" effort="0" velocity="0"/>' if prismatic else ""
-    )  # crossed: none
+    # crossed: none
+    limit = '<limit lower="1" upper="-1" effort="0" velocity="0"/>' if prismatic else ""
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child'
         f' link="{child}"/><origin xyz="{origin[0]!r} {origin[1]!r} 0" rpy="0 0'

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import os
 from collections.abc import Iterable
 
@@ -22,6 +23,7 @@ from dextar_control.contract.topics import (
     Topic,
 )
 from dextar_control.control.supervisor import WATCHES
+from dextar_control.experiments.campaign.ranges import BARS, PERTURBATIONS, Range
 from dextar_control.experiments.launch_arguments import ARGUMENTS
 
 CLASSES = {
@@ -84,10 +86,17 @@ def shown(default: object, unit: str) -> str:
 
 def allowed(spec: Parameter) -> str:
     """The choices or the range."""
-    low, high = spec.minimum, spec.maximum
-    if low is None:
-        return code(*spec.choices) if high is None else f"≤ {high:.10g}"
-    return f"≥ {low:.10g}" if high is None else f"{low:.10g} to {high:.10g}"
+    if spec.choices:
+        return code(*spec.choices)
+    low = -math.inf if spec.minimum is None else spec.minimum
+    return bounds(low, math.inf if spec.maximum is None else spec.maximum)
+
+
+def bounds(low: float, high: float) -> str:
+    """A closed interval."""
+    if math.isinf(low):
+        return "" if math.isinf(high) else f"≤ {high:.10g}"
+    return f"≥ {low:.10g}" if math.isinf(high) else f"{low:.10g} to {high:.10g}"
 
 
 def watches() -> str:
@@ -200,6 +209,15 @@ def launch_arguments() -> str:
     return table(("argument", "default", "what it is"), rows)
 
 
+def ranges(title: str, numbers: dict[str, Range]) -> str:
+    """What a campaign file may say, within which limits."""
+    rows = (
+        [code(name), one.meaning, bounds(one.low, one.high)]
+        for name, one in numbers.items()
+    )
+    return table((title, "what it is", "range"), rows)
+
+
 def commands() -> str:
     """Every command of ``dextar`` with its help, of a terminal of 80 columns."""
     os.environ["COLUMNS"] = "80"
@@ -225,6 +243,8 @@ def tables() -> dict[str, str]:
         "watches": watches(),
         "launch_arguments": launch_arguments(),
         "commands": commands(),
+        "perturbations": ranges("perturbation", PERTURBATIONS),
+        "bars": ranges("bar", BARS),
         "robot_keys": table(("key", "what it is"), robot),
         **{
             f"parameters_{name}": parameters(name, node_class(name).PARAMETERS)

@@ -66,7 +66,7 @@ def animate(
     progress: Callable[[int, int], None],
     look: Look = SCREEN,
 ) -> None:
-    """Write the animation.
+    """Write a run as an animation.
 
     Args:
         motion: its frames lie speed / frames_per_second s apart.
@@ -152,7 +152,7 @@ def check_output(file: Path, frames: int = 0) -> None:
 
 
 def find_ffmpeg() -> str:
-    """The machine's ffmpeg, or the one of the package imageio-ffmpeg.
+    """Find the machine's ffmpeg, or that of the package imageio-ffmpeg.
 
     Raises:
         ParameterError: there is neither.

@@ -39,7 +39,7 @@ LEAST_STRETCH = (
 
 
 class Clock(NamedTuple):
-    """The stamps of the states on a clock that does not step.
+    """The stamps of the states on a clock that does not step back.
 
     Attributes:
         places: (n,) of the states among all messages of the bag; rising.
@@ -56,12 +56,15 @@ class Clock(NamedTuple):
     system_steps: list[float]
 
     def steady(self, stamps: Stamps, places: Stamps) -> Stamps:
-        """Other stamps on that clock: of the offsets about its place in the bag, a
-        message has that which brings it nearest.
+        """Put other stamps on that clock, each with the one of the offsets near its
+        place in the bag that brings it nearest to the state beside it.
 
         Args:
             stamps: (m,) of messages that answer the states, ns.
             places: (m,) of these among all messages of the bag.
+
+        Returns:
+            (m,) ns.
         """
         rows = np.clip(
             np.searchsorted(self.places, places, side="right") - 1,
@@ -81,7 +84,7 @@ class Clock(NamedTuple):
 
 
 def clock_of(states: Series, served: Sequence[int]) -> Clock:
-    """The clock of a run.
+    """Put a run's states on one clock.
 
     Args:
         states: of its joints, with at least one message.
@@ -119,8 +122,8 @@ def clock_of(states: Series, served: Sequence[int]) -> Clock:
 
 
 def clock_in_words(stamp_steps: Sequence[float], clock_steps: Sequence[float]) -> str:
-    """How often and by how much a run's clocks stepped, in one sentence without its
-    stop; "" where none did.
+    """Say how often and by how much a run's clocks stepped back, without a full stop;
+    return "" where none did.
     """
     done = "the states are taken in the order of record"
     if stamp_steps and clock_steps:

@@ -12,7 +12,7 @@ BLOCK = 4096  # stamps looked at together
 
 
 def check_run(run: Run) -> None:
-    """Streams that answer the states carry their stamps.
+    """Check that the streams that answer the states carry their stamps.
 
     Raises:
         BagError: not one stamp of a stream is one of the states'.

@@ -146,7 +146,7 @@ WAYS_TO_NAME = 3  # differences that may be part of a run's name
 
 
 class ComparisonRow(NamedTuple):
-    """One number of every run.
+    """A number of every run, side by side.
 
     Attributes:
         metric: its name, unit and format.
@@ -163,8 +163,8 @@ class ComparisonRow(NamedTuple):
 
     @property
     def matter(self) -> float:
-        """How much the runs differ in it: by a word (infinity), or the largest ratio of
-        two numbers; 1 is not at all.
+        """How much the runs differ in it: infinity where words differ, else the largest
+        ratio of two numbers, which is 1 where all are equal.
         """
         known = [value for value in self.values if isinstance(value, (int, float))]
         if len(known) < len(self.values):
@@ -177,7 +177,7 @@ class ComparisonRow(NamedTuple):
 
 @dataclass(frozen=True)
 class Comparison:
-    """Runs side by side; the first is what the others are compared with.
+    """Runs side by side; the others are compared with the first.
 
     Attributes:
         names: of the runs, all different.
@@ -200,7 +200,7 @@ class Comparison:
     differences: list[Difference]
 
     def to_json(self) -> str:
-        """Strict JSON: what is not known is null."""
+        """Return strict JSON, null where something is not known."""
         return json.dumps(
             {
                 "runs": [
@@ -220,7 +220,7 @@ class Comparison:
         )
 
     def to_markdown(self) -> str:
-        """The tables as Markdown."""
+        """Return the tables as Markdown."""
         text = ["# Comparison", ""]
         text += [
             f"- **{name}**: `{run.path}`"
@@ -252,7 +252,7 @@ class Comparison:
 
     @property
     def shown_differences(self) -> list[Difference]:
-        """Those that the page and the text have room for."""
+        """The differences that the page and the text have room for."""
         return self.differences[:MOST_DIFFERENCES]
 
 
@@ -339,7 +339,7 @@ def write_comparison(comparison: Comparison, folder: Path) -> None:
 
 
 def render_comparison(comparison: Comparison) -> str:
-    """The comparison as one self-contained page."""
+    """Render the comparison as one self-contained page."""
     figures: dict[str, WebFigure] = {}
     over = overlaid(comparison)
     if over:
@@ -441,8 +441,8 @@ def by_matter(
 
 
 def overlaid(comparison: Comparison) -> list[Panel]:
-    """The runs' measured curves over each other: each motor's torque, error, residual
-    and s; a curve's kind is its run.
+    """Lay the runs' measured curves over each other: each motor's torque, error,
+    residual and s. The kind of a curve is its run's number.
 
     Error and s are the true ones where every run holds them, else the estimated ones of
     all; the label says which.
@@ -488,8 +488,8 @@ def overlaid(comparison: Comparison) -> list[Panel]:
 
 
 def summary_table(comparison: Comparison, width: int = 80) -> Table:
-    """The comparison for a terminal of so many columns: with the differences where
-    there is room for them.
+    """Make the comparison a table for a terminal of ``width`` columns, with the
+    differences where there is room for them.
     """
     table = _table(comparison, differences=True)
     console = Terminal(width=10 * width)
@@ -523,8 +523,8 @@ def _table(comparison: Comparison, differences: bool) -> Table:
 def name_runs(
     runs: Sequence[Run], metrics: Sequence[Metrics], differences: Sequence[Difference]
 ) -> list[str]:
-    """Short names that differ: by law and estimator, whether the truth is known, what
-    else differs, the folder, the number.
+    """Give the runs short names that differ: by law and estimator, by whether the truth
+    is known, by what else differs, by folder, or by number.
     """
     ways: list[list[str]] = [
         [

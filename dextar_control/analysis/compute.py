@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dextar_control.analysis.crossings import judge_crossings, peak
+from dextar_control.analysis.crossings import judge_crossings, largest
 from dextar_control.analysis.margins import measure_margins
 from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.run import Floats, Phase, Run, number_of
@@ -30,7 +30,7 @@ SATURATED = 1.0 - 1e-9  # of the torque limit
 
 
 def compute_metrics(run: Run) -> Metrics:
-    """Every number of a run, and the verdict."""
+    """Compute every number of a run, and judge it."""
     problem = ""
     try:
         plan = plan_of(run)
@@ -77,17 +77,17 @@ def compute_metrics(run: Run) -> Metrics:
         start_stamp=track.start if track else None,
         duration=plan.duration if plan else math.nan,
         tracked_until=float(track.time[-1]) if track else math.nan,
-        max_true_error=peak(error),
+        max_true_error=largest(error),
         rms_true_error=_rms(error),
         final_true_error=float(error[-1]) if len(error) else math.nan,
-        max_estimated_error=peak(estimated),
+        max_estimated_error=largest(estimated),
         rms_estimated_error=_rms(estimated[np.isfinite(estimated)]),
-        peak_torque=peak(torque),
+        peak_torque=largest(torque),
         planned_peak_torque=planned_peak,
-        torque_ratio=_ratio(peak(torque), planned_peak),
-        peak_torque_near=peak(torque[near]),
+        torque_ratio=_ratio(largest(torque), planned_peak),
+        peak_torque_near=largest(torque[near]),
         planned_peak_torque_near=planned_near,
-        torque_ratio_near=_ratio(peak(torque[near]), planned_peak),
+        torque_ratio_near=_ratio(largest(torque[near]), planned_peak),
         truth_share=(
             float(np.isfinite(track.true_error).sum() / len(track.stamps))
             if track

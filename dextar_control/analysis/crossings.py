@@ -267,7 +267,7 @@ CROSSING_METRICS = metrics_of(CrossingMetrics)
 def judge_crossings(
     run: Run, plan: Certificate, track: Tracked
 ) -> list[CrossingMetrics]:
-    """Every planned crossing in order."""
+    """Judge every planned crossing, in order."""
     criterion_time = _since(track, run.criterion.stamps)
     control_time = _since(track, run.control.stamps)
     motion_time = control_time if run.truth is None else _since(track, run.truth.stamps)
@@ -279,8 +279,8 @@ def judge_crossings(
 
 
 def crossed_in_words(crossings: Sequence[CrossingMetrics], planned: str = "") -> str:
-    """How many of the planned ones were crossed, with a noun for these; "" without
-    truth.
+    """Say how many of the planned crossings were crossed, with a noun for these; return
+    "" without truth.
     """
     if any(crossing.outcome is None for crossing in crossings):
         return ""
@@ -312,8 +312,8 @@ def _crossing(
     lost = any(hole.meets(*_stamps(track, before, after)) for hole in run.holes)
     if len(track.true_s):
         sides = (
-            at(track.true_time, track.true_s, before) * sign,
-            at(track.true_time, track.true_s, after) * sign,
+            value_at(track.true_time, track.true_s, before) * sign,
+            value_at(track.true_time, track.true_s, after) * sign,
         )
         crossed = bool(sides[0] < 0.0 < sides[1] and planned <= track.time[-1])
         outcome = (
@@ -326,7 +326,7 @@ def _crossing(
         if lost or (run.truncated and after > track.time[-1]):
             crossed, outcome = None, "not recorded"
     moment = None if lost else _true_instant(track, planned, before, after)
-    mode = at(criterion_time, run.criterion.assembly_mode, after)
+    mode = value_at(criterion_time, run.criterion.assembly_mode, after)
     velocity = run.control.estimate_dot if run.truth is None else run.truth.x_dot
     instant = planned if moment is None else moment
     mine = _own_part(plan, track.torque_time, index)
@@ -337,24 +337,31 @@ def _crossing(
     )
     # about the crossing, and thus not where the bag has a hole
     measured = {
-        "speed": math.hypot(*(at(motion_time, axis, instant) for axis in velocity.T)),
-        "estimated_speed": math.hypot(
-            *(at(control_time, axis, planned) for axis in run.control.estimate_dot.T)
+        "speed": math.hypot(
+            *(value_at(motion_time, axis, instant) for axis in velocity.T)
         ),
-        "residual": abs(at(criterion_time, run.criterion.residual, planned)),
+        "estimated_speed": math.hypot(
+            *(
+                value_at(control_time, axis, planned)
+                for axis in run.control.estimate_dot.T
+            )
+        ),
+        "residual": abs(value_at(criterion_time, run.criterion.residual, planned)),
         "sigma_min": _least_between(
             criterion_time, run.criterion.sigma_min, before, after
         ),
-        "peak_torque": peak(torque[distance < NEAR_LOCUS]),
-        "torque_step": peak(np.abs(np.diff(torque, axis=0))[zone[1:] & zone[:-1]]),
-        "error_before": peak_between(
+        "peak_torque": largest(torque[distance < NEAR_LOCUS]),
+        "torque_step": largest(np.abs(np.diff(torque, axis=0))[zone[1:] & zone[:-1]]),
+        "error_before": largest_between(
             track.true_time, track.true_error, before, planned
         ),
-        "error_after": peak_between(track.true_time, track.true_error, planned, after),
-        "estimated_error_before": peak_between(
+        "error_after": largest_between(
+            track.true_time, track.true_error, planned, after
+        ),
+        "estimated_error_before": largest_between(
             track.time, track.estimated_error, before, planned
         ),
-        "estimated_error_after": peak_between(
+        "estimated_error_after": largest_between(
             track.time, track.estimated_error, planned, after
         ),
     }
@@ -431,7 +438,7 @@ def _verdict(
 def _correct(
     track: Tracked, verdict: Verdict | None, moment: float, sign: int
 ) -> bool | None:
-    side = at(track.true_time, track.true_s, moment) if verdict else math.nan
+    side = value_at(track.true_time, track.true_s, moment) if verdict else math.nan
     return (
         None
         if math.isnan(side)
@@ -460,9 +467,13 @@ def _true_instant(
     return float(zeros[np.abs(zeros - planned).argmin()])
 
 
-def at(time: Floats, values: Floats, moment: float) -> float:
-    """The value recorded nearest to a moment, times rising; nan outside the
-    recording.
+def value_at(time: Floats, values: Floats, moment: float) -> float:
+    """Find the value recorded nearest to a moment; nan outside the recording.
+
+    Args:
+        time: (n,) rising, s.
+        values: (n,) in a unit of their own.
+        moment: s.
     """
     if len(values) == 0 or not time[0] <= moment <= time[-1]:
         return math.nan
@@ -472,9 +483,13 @@ def at(time: Floats, values: Floats, moment: float) -> float:
     )
 
 
-def peak_between(time: Floats, values: Floats, first: float, last: float) -> float:
-    """The largest finite value within [first, last], times rising; nan where there is
-    none.
+def largest_between(time: Floats, values: Floats, first: float, last: float) -> float:
+    """Find the largest finite value between two moments; nan where there is none.
+
+    Args:
+        time: (n,) rising, s.
+        values: (n,) in a unit of their own.
+        first, last: s, both inside.
     """
     inside = values[
         np.searchsorted(time, first, side="left") : np.searchsorted(
@@ -500,7 +515,9 @@ def _least_between(time: Floats, values: Floats, first: float, last: float) -> f
     return float(finite.min()) if finite.size else math.nan
 
 
-def peak(values: Floats) -> float:
-    """The largest finite magnitude; nan where there is none."""
+def largest(values: Floats) -> float:
+    """Find the largest finite magnitude of values (n, ...), units alike; nan where
+    there is none.
+    """
     finite = np.abs(values[np.isfinite(values)])
     return float(finite.max()) if finite.size else math.nan

@@ -30,7 +30,7 @@ MOST_AROUND = 24  # crossings that are shown so
 
 
 class Curve(NamedTuple):
-    """One curve over time.
+    """A quantity over time, as one curve.
 
     Attributes:
         name: what it shows, as in a legend.
@@ -69,7 +69,7 @@ class Panel(NamedTuple):
 
 
 class Around(NamedTuple):
-    """One quantity about each crossing.
+    """A quantity about each crossing, as one curve each.
 
     Attributes:
         label: what it is, with its unit.
@@ -88,8 +88,8 @@ class Around(NamedTuple):
 
 
 def checked_plan(run: Run) -> Certificate | None:
-    """The plan, or None where there is none or it cannot be computed; the metrics'
-    reasons say why.
+    """Compute the plan; None where there is none or it cannot be computed, for which
+    the metrics' reasons say why.
     """
     try:
         return plan_of(run)
@@ -98,8 +98,8 @@ def checked_plan(run: Run) -> Certificate | None:
 
 
 def panels(run: Run, metrics: Metrics) -> list[Panel]:
-    """Torques, tracking error, residual of the criterion and s over time; empty when
-    nothing was tracked.
+    """Collect torques, tracking error, residual of the criterion and s over time;
+    nothing where no trajectory was tracked.
     """
     track = tracked(run)
     if track is None:
@@ -114,8 +114,8 @@ def panels(run: Run, metrics: Metrics) -> list[Panel]:
 
 
 def around(run: Run, metrics: Metrics) -> list[Around]:
-    """Largest torque and error about each crossing of a run that has many; they have no
-    sign, so that they have a mean.
+    """Collect the largest torque and the error about each crossing of a run that has
+    many of them. Both have no sign, so that they have a mean.
     """
     track, plan = tracked(run), checked_plan(run)
     if track is None or plan is None or len(metrics.crossings) <= MANY:
@@ -163,8 +163,8 @@ def around(run: Run, metrics: Metrics) -> list[Around]:
 
 
 def observer_panels(run: Run, metrics: Metrics) -> list[Panel]:
-    """What the observer says that the model lacks, and its innovations beside what they
-    should be; empty where not told.
+    """Collect what the observer says that the model lacks, and its innovations beside
+    what they should be; nothing where the bag does not tell.
     """
     track = tracked(run)
     found = metrics.margins
@@ -269,7 +269,7 @@ def _error(run: Run, track: Tracked) -> Panel:
 
 
 def error_height(curves: Sequence[Curve]) -> float:
-    """Upper end of an axis of errors, mm."""
+    """Return the upper end of an axis for curves of errors, mm."""
     together = np.concatenate([curve.values for curve in curves])
     finite = together[np.isfinite(together)]
     return 1.15 * min(
@@ -278,8 +278,8 @@ def error_height(curves: Sequence[Curve]) -> float:
 
 
 def beyond(panel: Panel) -> str:
-    """How far measured curves go where the axis does not follow them; "" where all is
-    shown.
+    """Say how far measured curves go where the axis does not follow them; return ""
+    where it shows all of them.
     """
     if not math.isfinite(panel.high):
         return ""

@@ -22,7 +22,7 @@ PLACES = {
 
 
 class Difference(NamedTuple):
-    """One thing in which runs differ.
+    """Something in which runs differ.
 
     Attributes:
         name: what, a parameter with its node's.
@@ -36,7 +36,9 @@ class Difference(NamedTuple):
 
 
 def differing(runs: Sequence[Run], metrics: Sequence[Metrics]) -> list[Difference]:
-    """What differs, the weightiest first; the bags in any case."""
+    """List what differs between runs, the weightiest first, and their bags in any
+    case.
+    """
     told = [
         ("law", [one.law or "unknown" for one in metrics]),
         ("estimator", [one.estimator or "unknown" for one in metrics]),
@@ -54,11 +56,11 @@ def differing(runs: Sequence[Run], metrics: Sequence[Metrics]) -> list[Differenc
     for key in sorted({key for own in every for key in own}):
         values = [own.get(key, ABSENT) for own in every]
         if (
-            any(not same(value, values[0]) for value in values)
+            any(not same_value(value, values[0]) for value in values)
             and key not in PLACES
             and key.rpartition(".")[2] not in OWN_LINE
         ):
-            found.append(Difference(key, [text(value) for value in values], True))
+            found.append(Difference(key, [value_text(value) for value in values], True))
     return [*found, Difference("bag", [shown_name(run) for run in runs], False)]
 
 
@@ -74,14 +76,14 @@ def _parameters(run: Run) -> dict[str, object]:
         found |= {
             f"{node}.{key}": value
             for key, value in values.items()
-            if not key.startswith(PREFIX) or not same(value, robot.get(key))
+            if not key.startswith(PREFIX) or not same_value(value, robot.get(key))
         }
     return found
 
 
-class Node(NamedTuple):
-    """The parameters of a node: (name, value, whether it is not the default), and
-    (name, value, default) of those.
+class NodeParameters(NamedTuple):
+    """The parameters of a node: all as (name, value, whether it is not the default),
+    and the changed ones as (name, value, default).
     """
 
     name: str
@@ -89,9 +91,9 @@ class Node(NamedTuple):
     changed: list[tuple[str, str, str]]
 
 
-def nodes_of(run: Run) -> list[Node]:
-    """The robot once, then each node's own parameters, its robot too where it is
-    another.
+def nodes_of(run: Run) -> list[NodeParameters]:
+    """List the robot once, then each node's own parameters, with its robot where that
+    is another one.
     """
     robots = {
         node: {key: value for key, value in values.items() if key.startswith(PREFIX)}
@@ -128,21 +130,24 @@ def nodes_of(run: Run) -> list[Node]:
 
 def _node(
     name: str, values: Mapping[str, object], defaults: Mapping[str, object]
-) -> Node:
+) -> NodeParameters:
     changed = [
         key
         for key in sorted(values)
-        if key in defaults and not same(values[key], defaults[key])
+        if key in defaults and not same_value(values[key], defaults[key])
     ]
-    return Node(
+    return NodeParameters(
         name,
-        [(key, text(values[key]), key in changed) for key in sorted(values)],
-        [(key, text(values[key]), text(defaults[key]) or ABSENT) for key in changed],
+        [(key, value_text(values[key]), key in changed) for key in sorted(values)],
+        [
+            (key, value_text(values[key]), value_text(defaults[key]) or ABSENT)
+            for key in changed
+        ],
     )
 
 
-def same(one: object, other: object) -> bool:
-    """Whether two values of a parameter are; lists and tuples are alike."""
+def same_value(one: object, other: object) -> bool:
+    """Tell whether two values of a parameter are equal; a list equals a tuple."""
     one, other = (
         list(value) if isinstance(value, (list, tuple)) else value
         for value in (one, other)
@@ -150,12 +155,12 @@ def same(one: object, other: object) -> bool:
     return bool(one == other)
 
 
-def text(value: object) -> str:
-    """A parameter's value as a page shows it."""
+def value_text(value: object) -> str:
+    """Write a parameter's value as a page shows it."""
     return value if isinstance(value, str) else json.dumps(value)
 
 
 def shown_name(run: Run) -> str:
-    """Real folder and file of a bag."""
+    """Name a bag by its real folder and file."""
     path = run.path.resolve()
     return f"{path.parent.name}/{path.name}"

@@ -60,7 +60,9 @@ class Look(NamedTuple):
     palette: dict[str, str] = LIGHT
 
     def line(self, line: Line, **more: float | str) -> LineProperties:
-        """How Matplotlib's ``plot`` draws a line, with some more of its arguments."""
+        """Return how Matplotlib's ``plot`` draws a line, with some more of its
+        arguments.
+        """
         properties = style.matplotlib_line(line, self.palette, self.scale) | more
         return cast(LineProperties, properties)
 
@@ -86,7 +88,8 @@ def _points(axes: Axes) -> float:
 
 
 def draw_plane(axes: Axes, plane: Plane, look: Look = SCREEN) -> None:
-    """Path to scale with locus, linkage, crossings and t_s; its legend lies under it.
+    """Draw a path to scale with locus, linkage, crossings and t_s, and a legend under
+    it.
 
     Args:
         axes: matplotlib's.
@@ -132,7 +135,7 @@ def draw_plane(axes: Axes, plane: Plane, look: Look = SCREEN) -> None:
 
 
 def draw_locus(axes: Axes, locus: Sequence[tuple[str, Floats]], look: Look) -> None:
-    """The arcs of the Type 2 locus."""
+    """Draw the arcs of the Type 2 locus: (family, points (n, 2), m) each."""
     for family, arc in locus:
         draw_line(axes, arc, LINES[family, 0], f"Type 2 locus, {family}", look)
 
@@ -140,7 +143,7 @@ def draw_locus(axes: Axes, locus: Sequence[tuple[str, Floats]], look: Look) -> N
 def draw_line(
     axes: Axes, x: Floats, line: Line, name: str, look: Look, **more: float
 ) -> None:
-    """A path (n, 2), named once in the legend."""
+    """Draw a path x (n, 2), m, and name it once in the legend."""
     if len(x):
         label = style.mathtext(name)
         named = label in axes.get_legend_handles_labels()[1]
@@ -154,8 +157,14 @@ def draw_line(
 def draw_places(
     axes: Axes, places: Sequence[Place], ends: Sequence[tuple[str, Floats]], look: Look
 ) -> None:
-    """Crossings with their numbers and t_s, and the path's ends, each word where no
-    other is.
+    """Draw crossings with their numbers and t_s, and the path's ends; each word stands
+    where no other does.
+
+    Args:
+        axes: matplotlib's.
+        places: of the crossings.
+        ends: (name, point (2,), m) each.
+        look: of the figure.
     """
     taken = [place.x for place in places] + [point for _, point in ends]
     for place in places:
@@ -186,7 +195,7 @@ def mark(
     fill: str = "paper",
     zorder: float = 5,
 ) -> None:
-    """Marks at places (n, 2), of a half width in pixels."""
+    """Draw marks at places x (n, 2), m, whose half width is ``size`` pixels."""
     named = not name or name in axes.get_legend_handles_labels()[1]
     axes.plot(
         *x.T,
@@ -243,7 +252,7 @@ def _write(
 
 
 def finish_plane(axes: Axes) -> None:
-    """To scale, with its axes named and its legend under it."""
+    """Set the axes to scale, name them and put the legend under them."""
     axes.set_aspect("equal", anchor="N")
     axes.grid(linewidth=0.4)
     axes.set_axisbelow(True)
@@ -271,8 +280,8 @@ def finish_plane(axes: Axes) -> None:
 def draw_panel(
     axes: Axes, panel: Panel, instants: Sequence[float], last: bool, look: Look = SCREEN
 ) -> None:
-    """Curves over time with their legend above, where it hides none; dotted lines at
-    some instants, s.
+    """Draw curves over time with a legend above them, where it hides none, and dotted
+    lines at some instants.
 
     Args:
         axes: matplotlib's.
@@ -316,8 +325,8 @@ def draw_around(
     outcomes: Sequence[str],
     look: Look = SCREEN,
 ) -> None:
-    """Each crossing by itself over the mean of all, in a figure of small ones, whose
-    places are given: a layout takes seconds.
+    """Draw each crossing by itself over the mean of all, in a figure of small ones.
+    Their places are given, for a layout would take seconds.
     """
     rows = -(-len(found.each) // ACROSS)
     for number, (own, outcome) in enumerate(
@@ -348,8 +357,8 @@ def draw_around(
 
 
 def svg(figure: Figure) -> str:
-    """A figure that was drawn in the light palette, as part of a page, in whose colours
-    it then is.
+    """Return a figure that was drawn in the light palette as part of a page, whose
+    colours it takes.
     """
     stream = io.StringIO()
     figure.savefig(stream, format="svg")

@@ -31,8 +31,8 @@ MOST_REASONS, MOST_PLACES = 3, 6
 
 @SCREEN.settings()
 def draw_run(run: Run, metrics: Metrics) -> Figure:
-    """The figure of one run: path to scale, torques, errors, criterion and s over time;
-    of many crossings each by itself.
+    """Draw one run: path to scale, torques, errors, criterion and s over time; where it
+    has many crossings, each of them by itself too.
     """
     shown, many, plane = (
         panels(run, metrics),

@@ -10,8 +10,15 @@ from dextar_control.planning.model import states_model
 
 
 def singularity_measure(robot: RobotParameters, x: Floats, q_a: Floats) -> Floats:
-    """s (...,): sine of the angle from the left to the right distal link, of x (..., n)
-    and q_a (..., n).
+    """Compute s, the sine of the angle from the left to the right distal link.
+
+    Args:
+        robot: as described.
+        x: (..., n) end effector, m.
+        q_a: (..., n) active joints, rad.
+
+    Returns:
+        (...,) 1.
     """
     model = states_model(robot)
     found = model.library.batch("state")(
@@ -22,8 +29,8 @@ def singularity_measure(robot: RobotParameters, x: Floats, q_a: Floats) -> Float
 
 
 def active_joints(robot: RobotParameters, x: Floats) -> Floats:
-    """Active joints (..., n), rad, of x (..., n), m, in the robot's working mode; nan
-    out of reach.
+    """Compute the active joints (..., n), rad, of an end effector x (..., n), m, in the
+    robot's working mode; nan out of reach.
     """
     q_a: Floats = (
         states_model(robot).sides(x.reshape(-1, x.shape[-1])).q_a.reshape(x.shape)

@@ -21,10 +21,10 @@ from dextar_control.analysis.run import (
     Floats,
     Joints,
     Poses,
-    RecordedTopic,
     Run,
     ServedTrajectory,
     Stamps,
+    TopicCounts,
     Truth,
 )
 from dextar_control.bags.damage import Hole, Unreadable, unreadable_lines
@@ -96,8 +96,8 @@ def load_run(
     progress: Progress | None = None,
     robot: RobotParameters | None = None,
 ) -> Run:
-    """A recorded run; also one that ``ros2 bag record`` made, whose parameters are then
-    unknown.
+    """Load a recorded run; also one that ``ros2 bag record`` made, whose parameters are
+    then unknown.
 
     The columns lie in temporary files without names (in TMPDIR, about 1 MB for each
     recorded second at 1 kHz) that are mapped into memory, so that of memory of its own
@@ -208,14 +208,19 @@ class _Topics:
         self.used: list[Series] = []
 
     def of(self, topic: topics.Topic) -> Series:
-        found = self.bag.of(topic.name, self.resolved, self._namespace, self._near)
+        """Find the messages of a topic."""
+        found = self.bag.series_of(
+            topic.name, self.resolved, self._namespace, self._near
+        )
         if topic is topics.JOINT_STATES:
             self._near = found.topic.removesuffix(f"/{topic.name}")
         self.used.append(found)
         return found
 
     def unreadable(self) -> dict[str, Unreadable]:
-        """What could not be decoded of those that were taken, per topic; warned of."""
+        """Warn of what could not be decoded of the topics in use, and return it per
+        topic.
+        """
         found = {
             one.topic: Unreadable(one.unreadable, len(one), one.why)
             for one in self.used
@@ -315,9 +320,9 @@ def _nanoseconds(time: Duration) -> int:
     return int(time.sec) * NANOSECONDS + int(time.nanosec)
 
 
-def _recorded_topics(bag: Bag) -> dict[str, RecordedTopic]:
+def _recorded_topics(bag: Bag) -> dict[str, TopicCounts]:
     return {
-        name: RecordedTopic(
+        name: TopicCounts(
             series.type, len(series), series.first, series.last, series.fallen
         )
         for name, series in bag.messages.items()

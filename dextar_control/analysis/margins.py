@@ -109,7 +109,7 @@ class Innovation:
 
 @dataclass(frozen=True)
 class Margins:
-    """How near a run came to its limits.
+    """How near a run came to its limits, and what its observer says of itself.
 
     Attributes:
         limits: those that the bag tells of, the nearest first.
@@ -144,9 +144,9 @@ class _Ticks(NamedTuple):
     fresh: slice[int, None, None]  # those that were not in the stretch before
 
 
-def told(values: Floats) -> bool:
-    """Whether the bag tells a quantity of the observer: older bags lack it, other
-    estimators say 0.
+def has_values(values: Floats) -> bool:
+    """Tell whether a bag has a quantity of the observer, (n, ...), units alike: older
+    bags lack it, and other estimators write 0.
     """
     return bool(np.isfinite(values).all() and values.any())
 
@@ -159,7 +159,7 @@ def measure_margins(
     torque_limit: float,
     late_share: float,
 ) -> Margins:
-    """How near the run came to its limits.
+    """Measure how near a run came to its limits.
 
     Args:
         torque_limit: of a crossing trajectory, N m, where the bag does not say it at
@@ -192,7 +192,7 @@ def measure_margins(
         found += _watches(
             run, run.robot, settings, track, criterion.stamps[law], torque_limit
         )
-        if not told(criterion.bias):
+        if not has_values(criterion.bias):
             unknown.append(
                 "joint_jump needs the observer's bias, which this bag does not hold"
             )
@@ -230,7 +230,7 @@ def measure_margins(
 def _largest(values: Floats) -> list[float]:
     return (
         [float(value) for value in np.abs(values).max(axis=0)]
-        if len(values) and told(values)
+        if len(values) and has_values(values)
         else []
     )
 
@@ -439,7 +439,7 @@ def _watches(
                 ):
                     timers[one.name] = timer_after(timers[one.name], step, trips)
                     lasted[one.name] = max(lasted[one.name], timers[one.name])
-    if not told(run.criterion.bias):
+    if not has_values(run.criterion.bias):
         best.pop("joint_jump", None)
     return [
         replace(margin, share=max(margin.share, 0.0), lasted=lasted[name])
@@ -489,7 +489,7 @@ def _stretches(run: Run, stamps: Stamps) -> Iterator[_Ticks]:
 def _innovation(innovation: Floats, squares: Floats) -> Innovation | None:
     """Of innovations (n, k), rad, and their normalised squares (n,)."""
     count, size = innovation.shape
-    if count <= 2 * LAGS or not told(innovation):
+    if count <= 2 * LAGS or not has_values(innovation):
         return None
     centred = innovation - innovation.mean(axis=0)
     power = np.maximum((centred**2).mean(axis=0), 1e-300)

@@ -6,14 +6,14 @@ import dataclasses
 import json
 import math
 from dataclasses import dataclass
-from typing import Annotated, cast
+from typing import Annotated
 
 from dextar_control.analysis.crossings import CrossingMetrics
 from dextar_control.analysis.margins import Margins
 from dextar_control.analysis.registry import Metric, metrics_of
 from dextar_control.analysis.timing import PhaseSpan, Timing
 from dextar_control.bags.damage import Hole, Unreadable
-from dextar_control.contract.plain_data import as_plain
+from dextar_control.contract.plain_data import Plain, as_plain
 
 
 @dataclass(frozen=True)
@@ -336,17 +336,18 @@ class Metrics:
         return self.duration if known else self.tracked_until
 
     def shown(self, name: str, missing: str = "-") -> str:
-        """One of the numbers with its unit, as people read it; ``missing`` stands for
-        one that is not known.
+        """Format one of the numbers with its unit, as people read it; ``missing``
+        stands for one that is not known.
         """
         return METRICS[name].text(getattr(self, name), missing)
 
-    def to_dict(self) -> dict[str, object]:
+    def to_dict(self) -> dict[str, Plain]:
         """Return plain data for JSON, None where a number is not finite."""
-        return cast("dict[str, object]", as_plain(dataclasses.asdict(self)))
+        values: dict[str, object] = dataclasses.asdict(self)
+        return as_plain(values)
 
     def to_json(self) -> str:
-        """Strict JSON: what is not a number is null."""
+        """Return strict JSON, null where a number is not finite."""
         return json.dumps(self.to_dict(), indent=2, allow_nan=False)
 
 
@@ -357,7 +358,7 @@ METRICS = metrics_of(Metrics) | {
 
 
 def saturated(metrics: Metrics) -> str:
-    """How many commands were, or why that is not known."""
+    """Say how many commands were saturated, or why that is not known."""
     if math.isnan(metrics.peak_torque):
         return "no command while tracking"
     return (

@@ -22,7 +22,7 @@ MARGIN = 0.1  # s shown before and after the trajectory
 
 
 class RunFrames(NamedTuple):
-    """Frames of a run.
+    """A run at evenly spaced times, to be shown as a motion.
 
     Attributes:
         robot: as the controller had it.
@@ -54,11 +54,11 @@ class RunFrames(NamedTuple):
     course: Floats
 
     def chain(self, frame: int) -> Floats:
-        """(5, 2) motor, elbow, end effector, elbow, motor of a frame, m."""
+        """Return motor, elbow, end effector, elbow and motor of a frame, (5, 2), m."""
         return chain(self.robot, self.x[frame], self.q_a[frame])
 
     def write(self, file: Path, speed: float) -> None:
-        """What PyBullet's window needs, as one .npz file."""
+        """Write what PyBullet's window needs into one .npz file."""
         links = np.array([self.chain(frame) for frame in range(len(self.time))])
         distal = np.stack(
             [np.arctan2(*(self.x - links[:, row]).T[::-1]) for row in (1, 3)], axis=1
@@ -93,10 +93,10 @@ class RunFrames(NamedTuple):
         )
 
 
-def motion_of(
+def frames_of(
     run: Run, period: float, begin: float | None = None, end: float | None = None
 ) -> RunFrames:
-    """Frames every ``period`` s of the run's own time.
+    """Sample a run every ``period`` s of its own time.
 
     Args:
         run: with a robot.

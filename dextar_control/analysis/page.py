@@ -29,7 +29,7 @@ from dextar_control.analysis.margins import LAGS, Innovation, Margin, Margins
 from dextar_control.analysis.metrics import METRICS, Metrics, saturated
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.registry import number, signed
-from dextar_control.analysis.run import RecordedTopic, Run
+from dextar_control.analysis.run import Run, TopicCounts
 from dextar_control.analysis.thin import POINTS
 from dextar_control.analysis.timing import (
     Spread,
@@ -48,7 +48,11 @@ from dextar_control.analysis.web_figures import (
     residuals,
 )
 from dextar_control.analysis.web_figures import around as around_crossings
-from dextar_control.bags.damage import end_in_words, in_words, unreadable_lines
+from dextar_control.bags.damage import (
+    hole_in_words,
+    missing_end_in_words,
+    unreadable_lines,
+)
 from dextar_control.contract import style
 from dextar_control.contract.topics import TOPICS
 from dextar_control.contract.words import counted
@@ -85,7 +89,7 @@ PRINTED = {
 
 
 class Column(NamedTuple):
-    """Of a table."""
+    """The heading of a column of a table."""
 
     name: str
     unit: str = ""
@@ -93,14 +97,14 @@ class Column(NamedTuple):
 
 
 class Cell(NamedTuple):
-    """Of a table."""
+    """A cell of a table."""
 
     text: str
     bad: bool = False
 
 
 def render_report(run: Run, metrics: Metrics) -> str:
-    """The page of one run."""
+    """Render the page of one run."""
     plane = plane_of(run, metrics)
     figures: dict[str, WebFigure] = {} if plane.empty else {"plane": in_plane([plane])}
     shown = panels(run, metrics)
@@ -190,8 +194,8 @@ def render_report(run: Run, metrics: Metrics) -> str:
 
 
 def render(template: str, figures: Mapping[str, WebFigure], **values: object) -> str:
-    """A page with its figures, by their names; what is text in it has its symbols
-    typeset by the filter ``symbols``.
+    """Render a page with its figures, which it refers to by their names. The filter
+    ``symbols`` typesets the symbols in its texts.
     """
     environment = Environment(
         loader=PackageLoader("dextar_control.analysis"),
@@ -213,7 +217,7 @@ def render(template: str, figures: Mapping[str, WebFigure], **values: object) ->
 
 
 def verdict(metrics: Metrics) -> dict[str, object]:
-    """The run in a word, a sentence and the reasons."""
+    """Tell how a run went: in a word, in a sentence, and with the reasons."""
     kind, word = WORDS[metrics.success]
     planned = len(metrics.crossings)
     parts = []
@@ -250,12 +254,12 @@ def verdict(metrics: Metrics) -> dict[str, object]:
         )
     reasons = list(metrics.reasons)
     reasons += [
-        in_words(hole)
+        hole_in_words(hole)
         for hole in metrics.holes
-        if not any(in_words(hole) in reason for reason in reasons)
+        if not any(hole_in_words(hole) in reason for reason in reasons)
     ]
     if metrics.truncated:
-        reasons.append(f"{end_in_words()}.".capitalize())
+        reasons.append(f"{missing_end_in_words()}.".capitalize())
     sentence = "; ".join(parts)
     sentence = f"{sentence[:1].upper()}{sentence[1:]}." if parts else ""
     return {"kind": kind, "word": word, "sentence": sentence, "reasons": reasons}
@@ -671,15 +675,14 @@ def _recording(run: Run) -> dict[str, object]:
         else ""
     )
     told = [
-        *map(in_words, run.holes),
+        *map(hole_in_words, run.holes),
         *unreadable_lines(run.unreadable),
         clock_in_words(run.stamp_steps, run.clock_steps),
     ]
     sentence += "".join(f"{text[:1].upper()}{text[1:]}. " for text in told if text)
     if run.truncated:
-        sentence += (
-            f"{end_in_words()}: what was lost after it is unknown. ".capitalize()
-        )
+        lost = f"{missing_end_in_words()}: what was lost after it is unknown. "
+        sentence += lost.capitalize()
     if not run.losses:
         sentence += (
             "The bag was not written by this package's recorder: nobody counted its"
@@ -703,7 +706,7 @@ def _recording(run: Run) -> dict[str, object]:
     return {"columns": columns, "rows": rows, "sentence": sentence}
 
 
-def _rates(name: str, topic: RecordedTopic) -> tuple[float | None, float | None]:
+def _rates(name: str, topic: TopicCounts) -> tuple[float | None, float | None]:
     """(nominal, mean by the recorder's clock) of a topic to which the contract gives
     one rate; else None: it comes in bursts.
     """

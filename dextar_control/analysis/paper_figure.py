@@ -42,8 +42,8 @@ KEYS = {"torque", "error", "residual"}
 
 
 def draw_paper(run: Run, metrics: Metrics, width: float = COLUMN) -> Figure:
-    """The paper's Figure 4 of a run, ``width`` mm wide; without a tracked trajectory
-    the path alone.
+    """Draw a run as the paper's Figure 4, ``width`` mm wide; without a tracked
+    trajectory the path alone.
     """
     shown = [_shortened(panel) for panel in panels(run, metrics) if panel.key in KEYS]
     plane = plane_of(run, metrics)
@@ -97,7 +97,7 @@ def _shortened(panel: Panel) -> Panel:
 def write_paper(
     run: Run, metrics: Metrics, folder: Path, formats: list[str], width: float = COLUMN
 ) -> list[Path]:
-    """Write ``paper.<format>`` for each format; the files.
+    """Write ``paper.<format>`` for each format, and return the files.
 
     Raises:
         BagError: a file cannot be written.

@@ -37,8 +37,8 @@ GRID = 90  # points along each axis where a locus has no closed form
 
 @SCREEN.settings()
 def draw_plan(robot: AnyRobot, plan: Plan) -> Figure:
-    """The figure of a plan: path to scale on the locus of its working mode, torques and
-    s over time.
+    """Draw a plan: its path to scale on the locus of its working mode, torques and s
+    over time.
     """
     certificate = plan.certificate
     figure = Figure(figsize=SIZE, layout="constrained")

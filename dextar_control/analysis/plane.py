@@ -34,7 +34,7 @@ class Place(NamedTuple):
 
 
 class Plane(NamedTuple):
-    """The plane, in m.
+    """What a figure of a run shows in the plane; all in m.
 
     Attributes:
         locus: (family, (n, 2)) of each arc in the run's working mode.
@@ -61,7 +61,7 @@ class Plane(NamedTuple):
 
     @property
     def empty(self) -> bool:
-        """There is nothing to draw."""
+        """Whether there is nothing to draw."""
         return not (
             self.locus
             or len(self.planned)
@@ -72,7 +72,7 @@ class Plane(NamedTuple):
 
 
 def plane_of(run: Run, metrics: Metrics) -> Plane:
-    """Everything that is drawn in the plane."""
+    """Collect everything that is drawn of a run in the plane."""
     none, track = np.zeros((0, 2)), tracked(run)
     planned = run.trajectory.x if run.trajectory is not None else none
     true = estimated = none
@@ -111,8 +111,14 @@ def plane_of(run: Run, metrics: Metrics) -> Plane:
 
 
 def corners(seen: Sequence[Floats], arcs: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """(2,) lower left and upper right of what is worth seeing, (n, 2) each, and of the
-    arcs of the locus near by.
+    """Find a rectangle around what is worth seeing.
+
+    Args:
+        seen: (n, 2) each, m; what is worth it.
+        arcs: (n, 2) each, m, of the locus; those near by are shown whole.
+
+    Returns:
+        Its lower left and upper right corners, (2,) each, m.
     """
     known = [part[np.isfinite(part).all(axis=1)] for part in seen]
     everything = np.concatenate(
@@ -128,7 +134,9 @@ def corners(seen: Sequence[Floats], arcs: Sequence[Floats]) -> tuple[Floats, Flo
 
 
 def ends_of(path: Floats, places: int) -> list[tuple[str, Floats]]:
-    """A and B of a trip as in the paper, the start of a tour through several places."""
+    """Name the ends of a path (n, 2), m: A and B of a trip as in the paper, the start
+    of a tour through several places.
+    """
     if not len(path):
         return []
     if places > 1:
@@ -137,7 +145,9 @@ def ends_of(path: Floats, places: int) -> list[tuple[str, Floats]]:
 
 
 def locus_of(robot: RobotParameters | None) -> list[tuple[str, Floats]]:
-    """(family, points) of the Type 2 locus in the robot's working mode."""
+    """Trace the Type 2 locus in the robot's working mode, as (family, points (n, 2),
+    m).
+    """
     if robot is None:
         return []
     arcs = trace_locus(robot, (robot.working_mode,), robot.min_type1_distance)
@@ -145,15 +155,15 @@ def locus_of(robot: RobotParameters | None) -> list[tuple[str, Floats]]:
 
 
 def linkage_at(robot: RobotParameters, x: Floats) -> Floats:
-    """(5, 2) motor, elbow, end effector, elbow, motor, m, in the robot's working mode;
-    nan where it cannot be.
+    """Return motor, elbow, end effector, elbow and motor, (5, 2), m, in the robot's
+    working mode, for an end effector x (2,), m; nan where it cannot be.
     """
     return chain(robot, x, states_model(robot).place(x).q_a)
 
 
 def chain(robot: RobotParameters, x: Floats, q_a: Floats) -> Floats:
-    """(5, 2) motor, elbow, end effector, elbow, motor, m, of an end effector and active
-    joints.
+    """Return motor, elbow, end effector, elbow and motor, (5, 2), m, for an end
+    effector x (2,), m, and active joints q_a (2,), rad.
     """
     model = states_model(robot)
     linkage: Floats = model.mechanism.linkage(q_a, x, model.numbers)
@@ -161,8 +171,8 @@ def chain(robot: RobotParameters, x: Floats, q_a: Floats) -> Floats:
 
 
 def t_s_at(robot: RobotParameters, x: Floats) -> Floats:
-    """(2,) weak direction of A_r at an end effector position: t_s where it is on the
-    locus.
+    """Return the weak direction of A_r, (2,), 1, at an end effector x (2,), m: on the
+    locus it is t_s.
     """
     t_s: Floats = states_model(robot).place(x).t_s
     return t_s
@@ -190,12 +200,12 @@ def _places(robot: RobotParameters | None, metrics: Metrics) -> list[Place]:
 
 
 def numbers_in_words(numbers: Sequence[int]) -> str:
-    """Of crossings at one place."""
+    """Write the numbers of crossings at one place."""
     return ", ".join(map(str, numbers[:MOST_NUMBERS])) + (
         " …" if len(numbers) > MOST_NUMBERS else ""
     )
 
 
 def crossing_title(number: int, outcome: str) -> str:
-    """A crossing's number, and what became of it where it was not crossed."""
+    """Write a crossing's number, and what became of it where it was not crossed."""
     return str(number) if outcome == "crossed" else f"{number} {outcome}"

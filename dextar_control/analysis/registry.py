@@ -13,12 +13,12 @@ SCALES = {"mm": 1e3, "ms": 1e3, "µs": 1e6}  # of a shown unit, over the SI unit
 
 
 def number(value: float | None, form: str, missing: str = "-") -> str:
-    """A number in a format, or what stands for one that is not known."""
+    """Format a number; ``missing`` stands for one that is not known."""
     return missing if value is None or not math.isfinite(value) else format(value, form)
 
 
 def signed(value: float, form: str) -> str:
-    """A number with its sign, but for what rounds to nothing."""
+    """Format a number with its sign, but without one where it rounds to zero."""
     text = format(value, f"+{form}")
     return text if text.strip("+-0.") else text[1:]
 
@@ -44,7 +44,7 @@ class Metric(NamedTuple):
 
     @property
     def shown_unit(self) -> str:
-        """The unit in which people read it."""
+        """The unit in which people read the number."""
         return self.shown or self.unit
 
     def scaled(self, value: float) -> float:
@@ -52,11 +52,15 @@ class Metric(NamedTuple):
         return SCALES[self.shown] * value if self.shown else value
 
     def number(self, value: float | None, missing: str = "-") -> str:
-        """Format a value in the shown unit; ``missing`` stands for one not known."""
+        """Format a value in the shown unit; ``missing`` stands for one that is not
+        known.
+        """
         return number(value and self.scaled(value), self.form, missing)
 
     def text(self, value: float | None, missing: str = "-") -> str:
-        """Format a value with its unit; ``missing`` stands for one not known."""
+        """Format a value with its unit; ``missing`` stands for one that is not
+        known.
+        """
         text = self.number(value, "")
         unit = "" if self.unit in ("", "1") else f" {self.shown_unit}"
         return f"{text}{unit}" if text else missing

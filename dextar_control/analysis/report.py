@@ -88,7 +88,7 @@ def analyze(
 
 
 def summary_table(metrics: Metrics) -> Table:
-    """The run in a dozen lines, for a terminal."""
+    """Make the summary of a run a table for a terminal."""
     title = (
         f"{metrics.robot or 'run'}, law {metrics.law or 'unknown'}, estimator"
         f" {metrics.estimator or 'unknown'}"
@@ -100,8 +100,8 @@ def summary_table(metrics: Metrics) -> Table:
 
 
 def brief_table(metrics: Metrics) -> Table:
-    """What a summary says to somebody who wants to know whether it went well, and why
-    not if it did not.
+    """Make a shorter table, for somebody who wants to know whether the run went well
+    and, if it did not, why.
     """
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     usual = {
@@ -117,7 +117,7 @@ def brief_table(metrics: Metrics) -> Table:
 
 
 def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
-    """(what, value) pairs of the summary."""
+    """List the summary of a run as (what, value) pairs."""
     verdict = {True: "success", False: "FAILED", None: "not decidable"}[metrics.success]
     estimated = metrics.shown("max_estimated_error", "")
     lines = [

@@ -17,13 +17,13 @@ from dextar_control.control.phases import Phase as Phase
 
 
 def rows_between(time: Floats, first: float, last: float) -> slice[int, int, None]:
-    """The rows of rising times (n,) that are in [first, last), all in s."""
+    """Find the rows of rising times (n,), s, that lie in [first, last)."""
     begin, end = np.searchsorted(time, (first, last)).tolist()
     return slice(begin, end)
 
 
 def number_of(value: object) -> float:
-    """A recorded value as a number; nan where it is none."""
+    """Read a recorded value as a number; nan where it is none."""
     try:
         return float(value) if isinstance(value, (int, float, str)) else math.nan
     except (ValueError, OverflowError):
@@ -80,8 +80,8 @@ class Control:
 
 @dataclass(frozen=True)
 class CriterionRecord:
-    """The crossing criterion at each tick, and what else the controller thought; all
-    (n,) but where it is said.
+    """The crossing criterion at each tick, and what else the controller knew; all (n,)
+    where no shape is told.
 
     Attributes:
         stamps: ns of the state answered.
@@ -162,7 +162,7 @@ class ServedTrajectory:
 
 
 @dataclass(frozen=True)
-class RecordedTopic:
+class TopicCounts:
     """What a bag holds of one topic.
 
     Attributes:
@@ -181,7 +181,7 @@ class RecordedTopic:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Everything the analysis knows, from the bag alone.
+    """Everything that the analysis knows of a run, from its bag alone.
 
     Attributes:
         truth: None in a rig's bag.
@@ -216,7 +216,7 @@ class Run:
     losses: dict[str, dict[str, int | None]] = field(default_factory=dict)
     version: str = ""
     record: dict[str, str] = field(default_factory=dict)
-    topics: dict[str, RecordedTopic] = field(default_factory=dict)
+    topics: dict[str, TopicCounts] = field(default_factory=dict)
     truncated: bool = False
     holes: list[Hole] = field(default_factory=list)
     unreadable: dict[str, Unreadable] = field(default_factory=dict)
@@ -225,5 +225,5 @@ class Run:
     poses: Poses | None = None
 
     def parameter(self, node: str, name: str) -> object:
-        """A node's parameter as it was recorded; None where it was not."""
+        """Return a node's parameter as it was recorded; None where it was not."""
         return self.parameters.get(node, {}).get(name)

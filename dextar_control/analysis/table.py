@@ -79,7 +79,7 @@ CRITERION_MEANINGS = {
 
 
 class Words(NamedTuple):
-    """Words as codes.
+    """A column of words, stored as codes.
 
     Attributes:
         codes: (n,) rows of ``names``; -1 where there is no word.
@@ -94,7 +94,7 @@ class Words(NamedTuple):
 
 
 class Variable(NamedTuple):
-    """One column.
+    """A column of a table, with its unit and meaning.
 
     Attributes:
         name: of the column.
@@ -111,13 +111,13 @@ class Variable(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Its name with its unit, for files that have no other place for it: ``true_x
-        [m]``.
+        """Name and unit together, for files that have no other place for the unit:
+        ``true_x [m]``.
         """
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     def about(self) -> dict[str, str]:
-        """Unit and meaning, where there is one."""
+        """Return unit and meaning, where there is one."""
         return {
             key: text
             for key, text in (("unit", self.unit), ("meaning", self.meaning))
@@ -126,7 +126,7 @@ class Variable(NamedTuple):
 
 
 class Sheet(NamedTuple):
-    """A table.
+    """A table: its columns, and what it is of.
 
     Attributes:
         fields: its columns, all of one length.
@@ -220,7 +220,7 @@ def _topics(run: Run) -> dict[str, Sheet]:
 
 
 def check_formats(formats: list[str]) -> None:
-    """Whether what the formats need is there.
+    """Check that the packages that the formats need are there.
 
     Raises:
         ParameterError: it is not.
@@ -242,7 +242,7 @@ def export(
     progress: Callable[[str], None] = lambda stage: None,
 ) -> list[Path]:
     """Write ``run.<format>``, and with ``topics`` each topic's ``<topic>.<format>``;
-    the files.
+    return the files.
 
     Raises:
         BagError: a file cannot be written.

@@ -23,8 +23,8 @@ Rows = NDArray[np.int64]
 def thin(
     time: Floats, values: Floats, instants: Sequence[float] = (), points: int = POINTS
 ) -> Rows:
-    """The rows of a curve that show it: per bin its least and its greatest value, and
-    all rows near some instants.
+    """Choose the rows of a curve that show it: the least and the greatest value of each
+    bin, and all rows near some instants.
 
     Args:
         time: (n,) rising, s.
@@ -69,8 +69,8 @@ def _extremes(values: Floats, edges: Rows) -> list[Rows]:
 
 
 def thin_path(x: Floats, points: int = 2 * POINTS) -> Rows:
-    """The rows of a path (n, 2), m, after each of which it has gone on by a step that
-    suits its length.
+    """Choose the rows of a path x (n, 2), m, after each of which it has gone on by a
+    step that suits its length.
     """
     if len(x) < 3:
         return np.arange(len(x))

@@ -24,7 +24,8 @@ MOST_LATE = 0.2
 
 @dataclass(frozen=True)
 class Spread:
-    """A measured quantity in one line; all nan when nothing was measured.
+    """The distribution of a measured quantity, in five numbers; nan when nothing was
+    measured.
 
     Attributes:
         count: of the values.
@@ -42,7 +43,9 @@ class Spread:
 
     @staticmethod
     def of(values: Floats) -> Spread:
-        """The spread of the finite values."""
+        """Summarise the finite ones of values (n,) of a quantity; its unit is kept, as
+        s.
+        """
         finite = values[np.isfinite(values)]
         if len(finite) == 0:
             return Spread(0, *(math.nan,) * 5)
@@ -59,8 +62,8 @@ class Spread:
 
 @dataclass(frozen=True)
 class Timing:
-    """The stream of states and its answers while tracking (or over the whole run when
-    nothing was tracked).
+    """The stream of states and its answers while a trajectory was tracked, or over the
+    whole run when none was.
 
     By the system clocks, not by the stamps. Publishers on one machine share a clock; on
     two, the round trip is only as true as their clocks are alike.
@@ -145,7 +148,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class PhaseSpan:
-    """A stretch of one phase.
+    """A stretch of time in one phase of the controller.
 
     Attributes:
         phase: of the controller.
@@ -161,8 +164,15 @@ class PhaseSpan:
 
 
 def round_trips(run: Run, stamps: Stamps) -> tuple[Stamps, Floats]:
-    """(stamps of the answered states, s from the publishing of each to that of its
-    command; nan where the clock stepped).
+    """Measure the time from the publishing of each state to that of its command.
+
+    Args:
+        run: that was recorded.
+        stamps: (m,) ns, of the states that count.
+
+    Returns:
+        The stamps (k,), ns, of those that were answered, and the times (k,), s, nan
+        where the clock stepped.
     """
     states, state_rows, command_rows = np.intersect1d(
         run.states.stamps, run.commands.stamps, assume_unique=True, return_indices=True
@@ -177,7 +187,8 @@ def round_trips(run: Run, stamps: Stamps) -> tuple[Stamps, Floats]:
 
 
 def periods(joints: Joints, stamps: Stamps, holes: Sequence[Hole] = ()) -> Floats:
-    """Between the publishing of successive messages that have one of the stamps, s.
+    """Measure the time from the publishing of a message to that of the next, (k,), s,
+    among those that have one of the stamps (m,), ns.
 
     Not across a hole of the bag, nor where the system clock stepped back.
     """
@@ -198,8 +209,15 @@ def periods(joints: Joints, stamps: Stamps, holes: Sequence[Hole] = ()) -> Float
 def recorded(
     stamps: Stamps, holes: Sequence[Hole], until: Stamps | None = None
 ) -> NDArray[np.bool_]:
-    """(n,) whether no hole of the bag meets a stamp, or what lies from it to
-    another.
+    """Tell which stamps, or stretches, are not touched by a hole of the bag.
+
+    Args:
+        stamps: (n,) ns, where each begins.
+        holes: of the bag.
+        until: (n,) ns, where each ends; at its stamp when None.
+
+    Returns:
+        (n,) whether none meets it.
     """
     known = np.ones(len(stamps), dtype=bool)
     until = stamps if until is None else until
@@ -218,7 +236,7 @@ def _seconds(nanoseconds: Stamps) -> Floats:
 
 
 def measure_timing(run: Run, track: Tracked | None) -> Timing:
-    """The timing of a run."""
+    """Measure the timing of a run."""
     asked = run.states.stamps if track is None else within(run.states.stamps, track)
     told = run.commands.stamps if track is None else within(run.commands.stamps, track)
     missed = ~np.isin(asked, run.commands.stamps) & recorded(asked, run.holes)
@@ -250,7 +268,8 @@ def measure_timing(run: Run, track: Tracked | None) -> Timing:
 
 
 def late_share(late_ticks: int | None, steps: int | None, by_stamps: float) -> float:
-    """Share of the steps without a command in time, nan where it is not known.
+    """Compute the share of the steps without a command in time; nan where it is not
+    known.
 
     Args:
         late_ticks, steps: as the plant counted; None where it did not.
@@ -264,8 +283,8 @@ def late_share(late_ticks: int | None, steps: int | None, by_stamps: float) -> f
 
 
 def lockstep(run: Run) -> bool | None:
-    """Whether the plant waited for its commands; None when neither its diagnostics nor
-    a node's parameters tell.
+    """Tell whether the plant waited for its commands; None when neither its diagnostics
+    nor a node's parameters say so.
     """
     mode = run.parameter("plant", "mode")
     mode = mode or run.diagnostics.get("plant", {}).get("mode")
@@ -276,13 +295,13 @@ def lockstep(run: Run) -> bool | None:
 
 
 def within(stamps: Stamps, track: Tracked) -> Stamps:
-    """The stamps from the first to the last tracked tick."""
+    """Choose the stamps (m,), ns, from the first to the last tracked tick."""
     inside = (stamps >= track.stamps[0]) & (stamps <= track.stamps[-1])
     return np.asarray(stamps[inside])
 
 
 def phase_spans(run: Run, track: Tracked | None) -> list[PhaseSpan]:
-    """The controller's phases one after the other."""
+    """List the controller's phases one after the other."""
     phases, stamps = run.criterion.phase, run.criterion.stamps
     if len(phases) == 0:
         return []
@@ -302,7 +321,7 @@ def phase_spans(run: Run, track: Tracked | None) -> list[PhaseSpan]:
 
 
 def phase_name(number: int) -> str:
-    """Its name; its number where this version knows none."""
+    """Return a phase's name, or its number where this version knows none."""
     try:
         return Phase(number).name
     except ValueError:

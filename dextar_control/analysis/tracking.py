@@ -46,7 +46,9 @@ Result = TypeVar("Result")
 
 
 def once(function: Callable[[Run], Result]) -> Callable[[Run], Result]:
-    """Compute it once for each run: metrics, figures and report all start from it."""
+    """Remember what a function computes of a run: metrics, figures and report all start
+    from it.
+    """
     known: WeakKeyDictionary[Run, Result] = WeakKeyDictionary()
 
     @wraps(function)
@@ -60,8 +62,8 @@ def once(function: Callable[[Run], Result]) -> Callable[[Run], Result]:
 
 @once
 def plan_of(run: Run) -> Certificate | None:
-    """The served trajectory's crossings and torques, computed anew from the run's
-    robot.
+    """Compute the served trajectory's crossings and torques anew, from the run's robot;
+    None where one of the two is not in the bag.
     """
     if run.robot is None or run.trajectory is None:
         return None
@@ -73,8 +75,8 @@ def plan_of(run: Run) -> Certificate | None:
 
 @once
 def tracked(run: Run) -> Tracked | None:
-    """The last tracked trajectory, with crossings where any has some; None when none
-    was.
+    """Find the last trajectory that was tracked, among those with crossings where there
+    are any; None when none was.
     """
     criterion, control = run.criterion, run.control
     crossing = np.isin(criterion.phase, (Phase.TRACK, Phase.CROSSING))

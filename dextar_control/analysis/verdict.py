@@ -6,7 +6,7 @@ import math
 
 from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.timing import MOST_LATE
-from dextar_control.bags.damage import in_words
+from dextar_control.bags.damage import hole_in_words
 
 MAX_ERROR = 5.0e-3  # m, true, while tracking
 END_ERROR = 1.0e-3  # m, true, at the end
@@ -36,8 +36,8 @@ def judge(
 
 
 def late_in_words(metrics: Metrics) -> str:
-    """That commands came too late for a run to be judged by it, and what to do; ""
-    where they did not, or nothing was late.
+    """Say that commands came too late for a run to be judged by it, and what to do;
+    return "" where they did not.
     """
     timing, share = metrics.timing, metrics.late_share
     if timing.lockstep or not share >= MOST_LATE:
@@ -98,9 +98,8 @@ def _judge(
         )
     broken = bool(reasons)
     for hole in inside:
-        reasons.append(
-            f"{in_words(hole)}, while it was tracked: what happened then is not known"
-        )
+        what = hole_in_words(hole)
+        reasons.append(f"{what}, while it was tracked: what happened then is not known")
     if cut:
         reasons.append(
             f"the bag breaks off at {metrics.tracked_until:.3f} s of"

@@ -29,8 +29,8 @@ PHASE_LINES = {"TRACK": "mid", "CROSSING": "ink", "SAFE_STOP": "bad", "FAULT": "
 
 
 def run_tag(index: int) -> str:
-    """What all curves of one of several runs carry, so that one key shows and hides
-    them together.
+    """Return what all curves of one of several runs are tagged with, so that one key
+    shows and hides them together.
     """
     return f"run {index}"
 
@@ -41,7 +41,7 @@ def over_time(
     duration: float,
     names: Sequence[str] = (),
 ) -> list[WebFigure]:
-    """One figure for each panel, with a common time axis and cross-hair.
+    """Make one figure of each panel, with a common time axis and cross-hair.
 
     Args:
         panels: of a run; or of several, each curve's ``kind`` then being the number of
@@ -92,8 +92,8 @@ def over_time(
 
 
 def around(found: Around, outcomes: Sequence[str]) -> list[WebFigure]:
-    """One small figure for each crossing: its own curve over the mean of all; what
-    became of one that was not crossed is said.
+    """Make one small figure of each crossing: its own curve over the mean of all, with
+    what became of it where it was not crossed.
     """
     mean = _series(found.time, found.mean, LINES["mean", 0], "mean of all")
     return [
@@ -118,8 +118,8 @@ def around(found: Around, outcomes: Sequence[str]) -> list[WebFigure]:
 
 
 def in_plane(planes: Sequence[Plane], names: Sequence[str] = ()) -> WebFigure:
-    """The path to scale, with locus, linkage, crossings and t_s; the true paths of
-    several runs where they have names.
+    """Make a figure of the path to scale, with locus, linkage, crossings and t_s; of
+    several runs, which have names, it shows the true paths.
     """
     plane, series = planes[0], []
 
@@ -209,7 +209,7 @@ def in_plane(planes: Sequence[Plane], names: Sequence[str] = ()) -> WebFigure:
 
 
 def histogram(values: Floats, label: str, unit: float = 1e6) -> WebFigure:
-    """Counts of durations (n,), s, on a logarithmic axis in microseconds."""
+    """Make a histogram of durations (n,), s, on a logarithmic axis in microseconds."""
     good = values[np.isfinite(values) & (values > 0.0)] * unit
     low, high = (
         math.floor(math.log10(max(good.min(), 1e-3)) * 4) / 4,
@@ -246,8 +246,14 @@ def histogram(values: Floats, label: str, unit: float = 1e6) -> WebFigure:
 def residuals(
     values: Floats, deviations: Floats, used: NDArray[np.bool_], label: str, name: str
 ) -> WebFigure:
-    """What is left of some observations (n,), by number, two standard deviations (n,)
-    either way; those used set the scale.
+    """Make a figure of what is left of some observations; those used set its scale.
+
+    Args:
+        values: (n,) in the unit that the label names.
+        deviations: (n,) in that unit; bars of two of them go either way.
+        used: (n,) whether each counts.
+        label: of the values, with their unit.
+        name: of what is counted along the other axis, units alike.
     """
     numbers = np.arange(1, len(values) + 1)
     low, high = values - 2.0 * deviations, values + 2.0 * deviations
@@ -286,7 +292,7 @@ def residuals(
 
 
 def phase_band(spans: Sequence[PhaseSpan]) -> WebFigure:
-    """The phases one under the other over time."""
+    """Make a figure of the phases, one under the other over time."""
     names = list(dict.fromkeys(span.phase for span in spans))[::-1]
     series = []
     for row, name in enumerate(names):

@@ -20,7 +20,7 @@ PIECE = 1 << 20  # bytes
 
 
 def plain_name(name: str) -> str:
-    """A file's name without what tells that it is compressed."""
+    """Return a file's name without the suffix that tells that it is compressed."""
     return next(
         (name.removesuffix(suffix) for suffix in SUFFIXES if name.endswith(suffix)),
         name,
@@ -46,8 +46,8 @@ def refuse_compressed(file: Path, start: bytes) -> None:
 
 
 def unpack(file: Path, target: Path) -> None:
-    """Write a zstd file's content, as far as it goes: of a file that breaks off what is
-    before its end.
+    """Unpack a zstd file as far as it goes: of a file that breaks off, what is before
+    its end.
 
     Raises:
         OSError: it cannot be read or written.
@@ -64,9 +64,7 @@ def unpack(file: Path, target: Path) -> None:
 
 
 def unpack_message(data: bytes) -> bytes | None:
-    """The content of a message that rosbag2 compressed by itself; None where it is
-    damaged.
-    """
+    """Unpack a message that rosbag2 compressed by itself; None where it is damaged."""
     frame = zstandard.ZstdDecompressor().decompressobj()
     try:
         content = frame.decompress(data)

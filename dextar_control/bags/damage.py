@@ -33,7 +33,7 @@ class Hole:
     end: int | None = None
 
     def meets(self, begin: float, end: float) -> bool:
-        """Whether something between two stamps, ns, may be missing."""
+        """Tell whether something between two stamps, ns, may be missing."""
         return (self.begin is None or self.begin < end) and (
             self.end is None or self.end > begin
         )
@@ -41,7 +41,7 @@ class Hole:
 
 @dataclass(frozen=True)
 class Unreadable:
-    """What cannot be decoded of a topic that is needed.
+    """Messages of a needed topic that cannot be decoded.
 
     Attributes:
         count: of these messages.
@@ -54,8 +54,8 @@ class Unreadable:
     reason: str
 
 
-def in_words(hole: Hole) -> str:
-    """What a hole of a bag is, where and how long."""
+def hole_in_words(hole: Hole) -> str:
+    """Say where a bag has a hole, and how long it is."""
     what = counted(hole.chunks, "damaged chunk") if hole.chunks else "the missing end"
     if hole.first is None or hole.last is None:
         length = f"{'before' if hole.first is None else 'after'} all other messages"
@@ -64,10 +64,12 @@ def in_words(hole: Hole) -> str:
     return f"no message is left of {what} of {hole.file}, {length}"
 
 
-def end_in_words(
+def missing_end_in_words(
     file: str = "the bag", unit: str = "chunk", *, recovered: bool = False
 ) -> str:
-    """That the end of a file is missing; ``recovered`` from one whose end was."""
+    """Say that the end of a file is missing; ``recovered``, that it was made from one
+    whose end was.
+    """
     was = (
         "was recovered from a file that breaks off or" if recovered else "breaks off or"
     )
@@ -75,7 +77,7 @@ def end_in_words(
 
 
 def unreadable_lines(unreadable: Mapping[str, Unreadable]) -> list[str]:
-    """What could not be decoded of each topic."""
+    """Say what could not be decoded, a line for each topic."""
     return [
         f"{one.count} of {counted(one.messages, 'message')} on {topic} cannot be read"
         f" and count as not recorded: {one.reason}"
@@ -86,9 +88,9 @@ def unreadable_lines(unreadable: Mapping[str, Unreadable]) -> list[str]:
 def damage_lines(
     holes: Sequence[Hole], truncated: bool, unreadable: Mapping[str, Unreadable]
 ) -> list[str]:
-    """All of it."""
+    """Say all that a bag lacks, a line for each damage."""
     return [
-        *map(in_words, holes),
-        *[end_in_words()] * truncated,
+        *map(hole_in_words, holes),
+        *[missing_end_in_words()] * truncated,
         *unreadable_lines(unreadable),
     ]

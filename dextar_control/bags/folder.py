@@ -34,7 +34,7 @@ _TIME = re.compile(r"_*\d{4}[-_]?\d{2}[-_]?\d{2}[-_T]?\d{2}[-_]?\d{2}[-_]?\d{2}Z
 
 
 class Opened(NamedTuple):
-    """A file of a bag.
+    """A file of a bag that is open to be read.
 
     Attributes:
         file: as it is named.
@@ -49,8 +49,8 @@ class Opened(NamedTuple):
 
 @contextlib.contextmanager
 def opened(files: Sequence[Path]) -> Iterator[list[Opened]]:
-    """The files of a bag, those that are compressed with zstd unpacked into TMPDIR for
-    as long as they are open.
+    """Open the files of a bag; those that are compressed with zstd are unpacked into
+    TMPDIR for as long as they are open.
 
     Raises:
         BagError: one is empty, compressed in another way, or neither MCAP nor sqlite3.
@@ -122,8 +122,8 @@ class BagFiles(NamedTuple):
 
 
 def files_of(folder: Path) -> BagFiles:
-    """Which files of a folder are one bag: those that its ``metadata.yaml`` lists, with
-    others of that bag, or all there are.
+    """Find the files of a folder that are one bag: those that its ``metadata.yaml``
+    lists, with others of that bag, or all there are.
 
     Raises:
         BagError: there is none, or there are several and their names are not those of
@@ -173,8 +173,8 @@ def _names(files: Sequence[Path]) -> str:
 
 
 def patterns(file: Path) -> dict[str, int]:
-    """The names that a split bag may have of which this is a file, with ``#`` for the
-    number, and its number.
+    """List the patterns of a split bag's names that a file's name fits, with ``#`` for
+    the number, and its number in each.
 
     ``run_3.mcap`` is of ``run_#``, and rosbag2's later
     ``3_run_2026_01_30-12_00_00.mcap`` (number, name, time) of ``#_run``. A time behind
@@ -194,8 +194,8 @@ def patterns(file: Path) -> dict[str, int]:
 
 
 def in_order(files: Sequence[Path]) -> list[Path] | None:
-    """The files of one bag by their numbers; None where their names are not those of
-    one: a single file, or a split one's.
+    """Put the files of one bag in the order of their numbers; None where their names
+    are neither those of one split bag nor a single file's.
     """
     if len(files) <= 1:
         return list(files)
@@ -213,7 +213,7 @@ def in_order(files: Sequence[Path]) -> list[Path] | None:
 
 
 def of_one_bag(file: Path, others: Sequence[Path]) -> bool:
-    """Whether a file's name is that of some others' bag, in their format."""
+    """Tell whether a file's name is that of some other files' bag, in their format."""
 
     def known_as(file: Path) -> set[tuple[str, str]]:
         name = plain_name(file.name)
@@ -273,8 +273,8 @@ def _there(folder: Path, name: str) -> str:
 
 
 def check_one_recording(scans: Sequence[Scan]) -> None:
-    """Files that only their names hold together are of one recording: it began once,
-    and goes on from file to file.
+    """Check that files are of one recording where only their names say so: it began
+    once, and goes on from file to file.
 
     Args:
         scans: of files that were read, in order.
@@ -300,8 +300,14 @@ def check_one_recording(scans: Sequence[Scan]) -> None:
 
 
 def holes_of(scans: Sequence[Scan]) -> tuple[list[Hole], str | None]:
-    """(what is missing between the messages of a bag's files, the file whose end is
-    missing where nothing comes after it).
+    """Find the holes of a bag in its files.
+
+    Args:
+        scans: of files that were read, in order.
+
+    Returns:
+        What is missing between their messages, and the file whose end is missing where
+        nothing comes after it, else None.
     """
     holes: list[Hole] = []
     waiting: list[Hole] = []  # without messages after them

@@ -27,7 +27,7 @@ COMPRESSIONS = {"zstd": CompressionType.ZSTD, "none": CompressionType.NONE}
 
 
 class SerializedMessage(NamedTuple):
-    """One message on its way to the bag; times in ns since the epoch."""
+    """A message on its way to the bag; times in ns since the epoch."""
 
     log_time: int
     topic: str
@@ -80,7 +80,7 @@ class McapFile:
             raise
 
     def register(self, topic: TopicDescription) -> None:
-        """Describe a topic, before its first sample; once is enough."""
+        """Describe a topic before its first message; to do it again does nothing."""
         if topic.name in self._topics:
             return
         if topic.type not in self._schemas:
@@ -98,7 +98,7 @@ class McapFile:
         self.counts.setdefault(topic.name, 0)
 
     def write(self, batch: Sequence[SerializedMessage]) -> None:
-        """Write samples in order of log time."""
+        """Write messages in the order of their log times."""
         if not batch:
             return
         if batch[-1].log_time <= LATEST:
@@ -114,7 +114,7 @@ class McapFile:
         self._writer.add_metadata(name, dict(data))
 
     def attach(self, attachment: Attachment) -> None:
-        """Copy another file's attachment."""
+        """Copy an attachment of another file."""
         self._writer.add_attachment(
             attachment.create_time,
             attachment.log_time,
@@ -139,7 +139,7 @@ class McapFile:
         self.stream.close()
 
     def summary(self) -> FileSummary:
-        """What ``metadata.yaml`` says of this file."""
+        """Return what ``metadata.yaml`` says of this file."""
         return FileSummary(self.path.name, self.first, self.last, dict(self.counts))
 
     def _describe_itself(self, custom: Mapping[str, str]) -> None:

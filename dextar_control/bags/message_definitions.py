@@ -24,8 +24,8 @@ _PRIMITIVES = frozenset(
 
 
 def share_folders() -> list[Path]:
-    """Every ``share`` folder that may hold message packages: AMENT_PREFIX_PATH first,
-    then this Python's prefix.
+    """List every ``share`` folder that may hold message packages: those of
+    AMENT_PREFIX_PATH first, then this Python's.
     """
     prefixes = [
         prefix
@@ -53,7 +53,7 @@ def _interface_file(type_name: str, suffix: str) -> Path:
 
 
 def dependencies(type_name: str, text: str) -> list[str]:
-    """Full names of the message types that this definition uses, in order, each
+    """List the full names of the message types that a definition uses, in order, each
     once.
     """
     package = type_name.split("/")[0]
@@ -69,8 +69,8 @@ def dependencies(type_name: str, text: str) -> list[str]:
 
 @functools.cache
 def definition(type_name: str) -> str:
-    """The concatenated definition (``ros2msg``): the type's own text, then each
-    dependency's, depth first, each once.
+    """Return the concatenated definition (``ros2msg``): the type's own text, then that
+    of each dependency, depth first, each once.
 
     Raises:
         BagError: the package's ``share`` folder is not found.
@@ -94,7 +94,7 @@ def definition(type_name: str) -> str:
 
 @functools.cache
 def type_hash(type_name: str) -> str:
-    """The type's REP-2016 hash, ``RIHS01_...``.
+    """Return the type's REP-2016 hash, ``RIHS01_...``.
 
     Raises:
         BagError: the package's ``share`` folder is not found or names no hash.

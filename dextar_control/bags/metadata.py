@@ -48,12 +48,12 @@ def bag_metadata(
     topics: Iterable[TopicDescription],
     custom: Mapping[str, str] | None = None,
 ) -> str:
-    """BagMetadata as YAML, keys in rosbag2's order."""
+    """Return the BagMetadata as YAML, with its keys in rosbag2's order."""
     return _dump(_document(files, topics, custom or {}))
 
 
 def qos_text(profiles: Sequence[Qos]) -> str:
-    """The list of profiles as a channel's ``offered_qos_profiles``."""
+    """Return a list of profiles as a channel's ``offered_qos_profiles``."""
     return _dump([dict(profile) for profile in profiles]).strip()
 
 

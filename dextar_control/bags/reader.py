@@ -12,7 +12,7 @@ from mcap.records import Channel, Metadata, Schema
 from rosbags.rosbag2 import Reader
 
 from dextar_control.bags.compression import ZSTD, plain_name, unpack_message
-from dextar_control.bags.damage import Hole, end_in_words, in_words
+from dextar_control.bags.damage import Hole, hole_in_words, missing_end_in_words
 from dextar_control.bags.folder import (
     METADATA_FILE,
     SQLITE_SUFFIX,
@@ -41,7 +41,7 @@ BROKEN_MESSAGE = "its compressed content is damaged"
 
 @dataclass
 class Bag:
-    """What a bag holds, in the order of its records.
+    """The messages and the metadata of a bag.
 
     Attributes:
         path: of the file.
@@ -64,22 +64,22 @@ class Bag:
 
     @property
     def damage(self) -> str:
-        """What is missing, a sentence for each damage; "" where nothing is known to
-        be.
+        """What the bag lacks, a sentence for each damage; "" where nothing is known to
+        be lost.
         """
         recovered, lines = RECOVERY_NAME in self.metadata, list[str]()
         saved = "" if recovered else "; dextar recover saves what can be"
         if self.truncated:
             sqlite = plain_name(self.truncated).endswith(SQLITE_SUFFIX)
             lines.append(
-                end_in_words(
+                missing_end_in_words(
                     self.truncated,
                     "message" if sqlite else "chunk",
                     recovered=recovered,
                 )
             )
             saved = "" if sqlite else saved
-        lines += [*map(in_words, self.holes)]
+        lines += [*map(hole_in_words, self.holes)]
         lines += [
             f"{self.path}: {counted(count, 'message')} of channel {channel}, which no"
             " record describes, cannot be read"
@@ -87,15 +87,15 @@ class Bag:
         ]
         return "; ".join([*lines, *self.faults]) + saved * bool(lines)
 
-    def of(
+    def series_of(
         self,
         contract_name: str,
         resolved: Mapping[str, str],
         namespace: str | None = None,
         near: str | None = None,
     ) -> Series:
-        """Messages of a contract topic, maybe none. What only has its name, and not its
-        type, is passed over.
+        """Find the messages of a contract topic, maybe none. What has its name but
+        another type is passed over.
 
         Args:
             contract_name: of the topic.
@@ -183,8 +183,8 @@ def read_bag(
     progress: Progress | None = None,
     tell: bool = True,
 ) -> Bag:
-    """A bag: a file, MCAP or sqlite3, or a folder in rosbag2's layout, also a split
-    one. Damaged chunks are passed over.
+    """Read a bag: a file, MCAP or sqlite3, or a folder in rosbag2's layout, also of a
+    split bag. Damaged chunks are passed over.
 
     Memory does not grow with its length: messages are made into columns in temporary
         files (``Series``), or only counted.
@@ -249,7 +249,7 @@ class _Filling:
     def from_files(
         self, parts: list[Opened], listed: bool, progress: Progress | None
     ) -> None:
-        """From files in order."""
+        """Read files in their order."""
         sizes = [part.content.stat().st_size for part in parts]
         scans: list[Scan] = []
         for index, part in enumerate(parts):

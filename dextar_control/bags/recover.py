@@ -79,7 +79,7 @@ QOS_KEYS: dict[str, type | tuple[str, ...]] = {
 
 @dataclass
 class Recovery:
-    """What was saved.
+    """What was saved of a bag.
 
     Attributes:
         folder: the new bag.
@@ -103,7 +103,7 @@ class Recovery:
     unpacked: int = 0
 
     def leave_out(self, channel: str, why: str, count: int = 0) -> None:
-        """Note what is not copied."""
+        """Note messages that are not copied."""
         self.left_out[channel, why] = self.left_out.get((channel, why), 0) + count
 
 
@@ -274,7 +274,7 @@ def _rebuild(
                     "read_bytes": str(scan.end),
                     "lost_bytes": str(lost),
                     "damaged_chunks": str(scan.damaged),
-                    **scan.told(),
+                    **scan.recovery_details(),
                 },
             )
             target.finish({"recovered_from": scan.path.name})

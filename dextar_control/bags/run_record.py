@@ -25,7 +25,7 @@ _DESCRIBED = ("name", "notes", "tags")
 
 
 class RunRecord:
-    """Gathers what is known of one recording; ``texts`` is its metadata record.
+    """Gathers what is known of a recording; ``texts`` is its metadata record.
 
     Args:
         labels: the run's name, notes and tags.
@@ -41,8 +41,8 @@ class RunRecord:
         self.more_changes = 0
 
     def note_change(self, time: int, node: str, name: str, value: object) -> None:
-        """A parameter that was changed while the recording ran; time in ns since the
-        epoch.
+        """Note a parameter that was changed while the recording ran; time in ns since
+        the epoch.
         """
         if len(self.changes) >= MAX_CHANGES:
             self.more_changes += 1
@@ -52,7 +52,7 @@ class RunRecord:
         )
 
     def note_certificate(self, text: str) -> None:
-        """A plan's certificate as JSON; one that lists all its crossings is kept
+        """Note a plan's certificate as JSON; one that lists all its crossings is kept
         against a shortened one of the same plan.
         """
         if text == self.certificate:
@@ -72,7 +72,7 @@ class RunRecord:
         missing: list[str],
         ended: datetime | None = None,
     ) -> dict[str, str]:
-        """The record.
+        """Return the metadata record.
 
         Args:
             parameters: per node, as at the start of the recording.
@@ -104,14 +104,16 @@ class RunRecord:
     def custom_data(
         self, parameters: Mapping[str, Mapping[str, object]]
     ) -> dict[str, str]:
-        """What ``metadata.yaml`` shows of the run in ``custom_data``; nothing empty."""
+        """Return what ``metadata.yaml`` shows of the run as ``custom_data``; nothing
+        empty.
+        """
         data = {**self.labels, **_laws(parameters), "dextar": version()}
         return {key: str(value) for key, value in data.items() if value}
 
 
 def robot_file(parameters: Mapping[str, Mapping[str, object]]) -> str:
-    """The robot as a ROS 2 parameter file (``--params-file``, ``load_robot``), the
-    controller's before others'; "" if none.
+    """Return the robot as a ROS 2 parameter file (``--params-file``, ``load_robot``),
+    the controller's before another node's; "" if no node has one.
     """
     for node in ("controller", *parameters):
         flat = {
@@ -125,7 +127,7 @@ def robot_file(parameters: Mapping[str, Mapping[str, object]]) -> str:
 
 
 def parameter_text(values: Mapping[str, object]) -> str:
-    """Dotted parameters as YAML, arrays as lists."""
+    """Return dotted parameters as YAML, with arrays as lists."""
     plain_values = {name: plain(value) for name, value in values.items()}
     return str(
         yaml.safe_dump(
@@ -135,7 +137,7 @@ def parameter_text(values: Mapping[str, object]) -> str:
 
 
 def plain(value: object) -> object:
-    """A parameter's value in Python's own types, an array as a list."""
+    """Convert a parameter's value to Python's own types, an array to a list."""
     if isinstance(value, Iterable) and not isinstance(value, str):
         return list(value)
     return value
@@ -143,7 +145,7 @@ def plain(value: object) -> object:
 
 @cache
 def version() -> str:
-    """Of this package."""
+    """Return the version of this package."""
     try:
         return metadata.version("dextar")
     except metadata.PackageNotFoundError:
@@ -154,8 +156,8 @@ def version() -> str:
 
 @cache
 def versions() -> dict[str, str]:
-    """Of what the run was made with: this package and its source's revision, ROS,
-    Python, libraries, machine.
+    """Return the versions of what a run is made with: this package and its source's
+    revision, ROS, Python, libraries, machine.
     """
     found = {
         "dextar": version(),

@@ -72,7 +72,7 @@ class Messages(NamedTuple):
 
 @dataclass
 class Scan:
-    """One file as it is read from its beginning.
+    """A file that is read from its beginning, and what that found of it.
 
     Attributes:
         path: of the file.
@@ -105,12 +105,12 @@ class Scan:
 
     @property
     def damaged(self) -> int:
-        """Chunks that were left out."""
+        """How many chunks were left out."""
         return sum(hole.chunks for hole in self.holes)
 
     def records(self, progress: Progress | None = None) -> Iterator[Record | Messages]:
-        """Every record that can be read, from the beginning; those of intact chunks as
-        schemas, channels and ``Messages``.
+        """Yield every record that can be read, from the beginning; those of intact
+        chunks as schemas, channels and ``Messages``.
 
         Raises:
             OSError: the file cannot be read.
@@ -213,9 +213,9 @@ class Scan:
         ):
             self.holes.append(Hole(str(self.path), 1, self.first, self.last))
 
-    def told(self) -> dict[str, str]:
-        """What is missing here, for the record ``RECOVERY_NAME`` of a file recovered
-        from this one.
+    def recovery_details(self) -> dict[str, str]:
+        """Return what is missing here, for the record ``RECOVERY_NAME`` of a file that
+        is recovered from this one.
         """
         holes = [
             (hole.chunks, hole.first, hole.last)

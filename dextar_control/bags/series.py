@@ -45,8 +45,8 @@ Steady = Callable[[Stamps, Stamps], Stamps]
 
 
 class Table(NamedTuple):
-    """A topic's columns by rising stamp, the first message of each stamp. They lie in a
-    file that is mapped into memory.
+    """A topic's columns by rising stamp, with the first message of each stamp. They lie
+    in a file that is mapped into memory.
     """
 
     stamps: Stamps  # (n,) ns
@@ -56,8 +56,8 @@ class Table(NamedTuple):
 
 
 class RecordedColumns(NamedTuple):
-    """A topic's columns in the order of the bag; as in ``Table``, with the place of
-    each message among all of the bag.
+    """A topic's columns in the order of the bag; as in ``Table``, with the place (n,)
+    of each message among all of the bag.
     """
 
     stamps: Stamps
@@ -67,7 +67,7 @@ class RecordedColumns(NamedTuple):
 
 
 class Series:
-    """One topic's messages in the order of the bag.
+    """The messages of one topic, in the order of the bag.
 
     Args:
         topic: its name.
@@ -163,14 +163,16 @@ class Series:
         self._refuse(why)
 
     def messages(self) -> list[object]:
-        """The selected messages of a slow topic in the order of the bag, as the
+        """Return the selected messages of a slow topic in the order of the bag, as the
         library's classes.
         """
         self._settle()
         return self._selected[::-1]
 
     def recorded(self, names: Sequence[str]) -> RecordedColumns:
-        """The columns of these names in the order of the bag; before ``table``."""
+        """Return the columns of these names in the order of the bag; before
+        ``table``.
+        """
         words = self._words(names)
         return RecordedColumns(
             words[_STAMP],
@@ -197,8 +199,8 @@ class Series:
         return name in self._names
 
     def table(self, names: Sequence[str], steady: Steady | None = None) -> Table:
-        """The columns of these names, nan where no message has them; once, for the
-        temporary file is given back.
+        """Return the columns of these names, nan where no message has them. It is
+        called once, for it gives the temporary file back.
 
         Args:
             names: of the columns.

@@ -17,7 +17,7 @@ _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class BagStream:
-    """What mcap's Writer writes its whole records to.
+    """The file that mcap's Writer writes its whole records to.
 
     On a full disk a kept reserve is given up: the record under way is still written,
     and so is the end of the bag. Where the reserve does not help (a limit on the file's
@@ -57,11 +57,11 @@ class BagStream:
 
     @property
     def closed(self) -> bool:
-        """Whether it was closed."""
+        """Whether the file was closed."""
         return self._file.closed
 
     def write(self, data: bytes) -> int:
-        """All of the data."""
+        """Write all of the data."""
         view = memoryview(data)
         done = 0
         while done < len(view):
@@ -77,7 +77,9 @@ class BagStream:
         return done
 
     def reserve(self, size: int) -> None:
-        """Keep at least so much free; a disk that has no more room counts as full."""
+        """Keep at least ``size`` bytes free; a disk that has no more room counts as
+        full.
+        """
         if self._reserve is None or size <= self._reserved:
             return
         try:
@@ -104,7 +106,7 @@ class BagStream:
         self.synced = end
 
     def close(self) -> None:
-        """Close the file, give the reserve back."""
+        """Close the file and give the reserve back."""
         self._release()
         self._file.close()
 
@@ -128,7 +130,9 @@ class BagStream:
 
 
 def sync_folder(folder: Path) -> None:
-    """Have the disk keep the folder's entries; some file systems cannot be asked to."""
+    """Wait until the disk has the folder's entries; some file systems cannot be asked
+    to.
+    """
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

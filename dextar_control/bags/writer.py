@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from dextar_control.bags import mcap_file
-from dextar_control.bags.mcap_file import COMPRESSIONS as COMPRESSIONS
 from dextar_control.bags.mcap_file import McapFile, SerializedMessage
 from dextar_control.bags.message_definitions import definition, type_hash
 from dextar_control.bags.metadata import (
@@ -33,7 +32,7 @@ SLICE = 200  # samples between two looks at a file's size
 
 
 class BagWriter:
-    """Takes samples from one thread, writes them from another.
+    """Takes messages from one thread and writes them to a bag from another.
 
     Args:
         path: of the new ``.mcap`` file; its folder is made. A bag that is split has
@@ -119,7 +118,7 @@ class BagWriter:
 
     @property
     def path(self) -> Path:
-        """The file under way."""
+        """The file that is being written."""
         return self.paths[-1]
 
     @property
@@ -129,17 +128,17 @@ class BagWriter:
 
     @property
     def synced(self) -> int:
-        """Bytes of all files that the disk has for certain."""
+        """Bytes of all files that the disk is known to have."""
         return self._earlier + self._file.stream.synced
 
     def has_topic(self, topic: str) -> bool:
-        """Whether the topic was added."""
+        """Tell whether the topic was added."""
         return topic in self._topics
 
     def add_topic(
         self, topic: str, type_name: str, qos: Sequence[Qos], *, standing: bool = False
     ) -> None:
-        """Describe a topic; before its first sample.
+        """Describe a topic, before its first message.
 
         Args:
             topic: its name.
@@ -160,7 +159,7 @@ class BagWriter:
         self._pending.append(lambda: self._file.register(description))
 
     def add(self, sample: SerializedMessage) -> None:
-        """Queue one sample; a full queue drops and counts it."""
+        """Queue a message; a full queue drops and counts it."""
         waiting = self._bytes_in - self._bytes_out
         if (
             len(self._pending) >= MAX_PENDING
@@ -173,8 +172,8 @@ class BagWriter:
         self._pending.append(sample)
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
-        """Queue a metadata record; a later one of the same name replaces it for the
-        reader. Each file has the last.
+        """Queue a metadata record. A later one of the same name replaces it for the
+        reader; each file has the last.
         """
         copy = dict(data)
 

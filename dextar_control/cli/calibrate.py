@@ -44,8 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
     from dextar_control.identification.report import (
         PAGE_FILE,
         ROBOT_FILE,
-        predicted,
-        sentence,
+        fit_in_words,
+        prediction_in_words,
         write_calibration,
     )
 
@@ -59,9 +59,9 @@ def run(arguments: argparse.Namespace) -> int:
         predictions = [predict(found, other) for other in unused]
         write_calibration(found, predictions, folder)
         return Found(
-            sentence(found),
+            fit_in_words(found),
             found.quantities,
-            [*found.kept, *map(predicted, predictions)],
+            [*found.kept, *map(prediction_in_words, predictions)],
             (ROBOT_FILE, PAGE_FILE),
         )
 

@@ -37,8 +37,8 @@ def run(arguments: argparse.Namespace) -> int:
     from dextar_control.identification.report import (
         IDENTIFICATION_FILE,
         IDENTIFIED_FILE,
-        torques_predicted,
-        torques_sentence,
+        torque_fit_in_words,
+        torque_prediction_in_words,
         write_identification,
     )
 
@@ -51,9 +51,13 @@ def run(arguments: argparse.Namespace) -> int:
         found = identify(used, progress=stage)
         predictions = [predict_torques(found, other) for other in unused]
         write_identification(found, predictions, folder)
-        lines = [*found.told, *found.kept, *map(torques_predicted, predictions)]
+        lines = [
+            *found.told,
+            *found.kept,
+            *map(torque_prediction_in_words, predictions),
+        ]
         return Found(
-            torques_sentence(found),
+            torque_fit_in_words(found),
             found.quantities,
             lines,
             (IDENTIFIED_FILE, IDENTIFICATION_FILE),

@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     from rich.progress import BarColumn, TaskProgressColumn, TimeRemainingColumn
     from rich.table import Column, Table
 
-    from dextar_control.bags.damage import in_words
+    from dextar_control.bags.damage import hole_in_words
     from dextar_control.bags.recover import recover
     from dextar_control.contract.terminal import Steps, Terminal, TextColumn, title
     from dextar_control.contract.words import counted
@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
         lines.append(f"{result.metadata}; a new one was written")
     if result.lost_bytes:
         lines.append(f"{result.lost_bytes} bytes at the end are no complete record")
-    lines += map(in_words, result.holes)
+    lines += map(hole_in_words, result.holes)
     if result.unpacked:
         lines.append(
             f"{counted(result.unpacked, 'message')} that the recorder had compressed"

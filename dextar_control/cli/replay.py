@@ -96,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dextar_control.analysis.animate import animate, check_output
     from dextar_control.analysis.drawing import SCREEN, Look
     from dextar_control.analysis.load import load_run
-    from dextar_control.analysis.motion import motion_of
+    from dextar_control.analysis.motion import frames_of
     from dextar_control.contract.style import DARK
     from dextar_control.contract.terminal import (
         Steps,
@@ -117,7 +117,7 @@ def run(arguments: argparse.Namespace) -> int:
         recorded = load_run(
             arguments.bag, arguments.namespace, shown.read, given_robot(arguments)
         )
-        motion = motion_of(
+        motion = frames_of(
             recorded, arguments.speed / arguments.fps, arguments.begin, arguments.end
         )
     if arguments.window:

@@ -47,11 +47,8 @@ from dextar_control.symbols.types import Array
 
 NODES = "recorder", "plant", "controller", "trajectory_server", "panel"
 PANEL = "panel"  # a display is nobody's need: where it ends the demo goes on
-CAMERA = {
-    "pose_rate": 100.0,
-    "pose_delay": 0.02,
-    "pose_noise": 0.0002,
-}  # of the plant, where the estimator wants one: Hz, s, m
+# of the plant, where the estimator wants one: Hz, s, m
+CAMERA = {"pose_rate": 100.0, "pose_delay": 0.02, "pose_noise": 0.0002}
 STARTING = "starting the nodes"
 START_TIMEOUT = 120.0  # s, on a busy machine
 RUN_TIMEOUT = 20.0  # s beyond 20 times the trip's duration
@@ -116,9 +113,8 @@ def run_demo(arguments: argparse.Namespace) -> int:
         with monitoring("demo") as monitor:
             _wait_until_ready(console, monitor, processes)
             _link_latest(folder)
-            if (
-                not arguments.real_time
-            ):  # there what else is done could make commands late
+            # there what else is done could make commands late
+            if not arguments.real_time:
                 threading.Thread(target=_load_analysis, daemon=True).start()
             try:
                 resumed = monitor.call(

@@ -12,9 +12,8 @@ from dextar_control.contract.topics import JOINT_COMMANDS, JOINT_STATES
 from dextar_control.nodekit.layouts import template
 from dextar_control.nodekit.node import RunnableNode, qos, run_node
 
-STAMP = slice(
-    4, 12
-)  # of a message whose first field is a header, behind CDR's own four bytes
+# of a message whose first field is a header, behind CDR's own four bytes
+STAMP = slice(4, 12)
 
 
 class EchoNode(RunnableNode):

@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -20,17 +20,10 @@ from rclpy.utilities import try_shutdown
 from dextar_control.contract.topics import DIAGNOSTICS
 from dextar_control.experiments.processes import NodesError
 from dextar_control.nodekit.node import qos
+from dextar_control.nodekit.services import ServiceType
 
 TURN = 0.1  # s that one turn waits for something to hear
 SERVICE_PATIENCE = 30.0  # s
-
-
-class ServiceType(Protocol):
-    """The generated class of a service."""
-
-    @property
-    def Request(self) -> type:
-        """The class of its requests."""
 
 
 class Reply(NamedTuple):

@@ -23,7 +23,6 @@ from rich.progress import BarColumn, TimeRemainingColumn
 from rich.table import Column, Table
 from std_srvs.srv import Trigger
 
-from dextar_control.contract.errors import DextarError
 from dextar_control.contract.signals import EXIT_FAILED, run_command
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 from dextar_control.contract.yaml_text import assignment
@@ -64,11 +63,8 @@ def topic_counts(bag: Path) -> list[TopicCount]:
                 counts = json.loads(record.metadata["topics"])
         for _, channel, message in reader.iter_messages(log_time_order=False):
             numbers.setdefault(channel.topic, []).append(message.sequence)
-    shared = (
-        "/diagnostics",
-        "/rosout",
-        "/parameter_events",
-    )  # by several publishers, each with its own numbers
+    # by several publishers, each with its own numbers
+    shared = ("/diagnostics", "/rosout", "/parameter_events")
     return [
         TopicCount(
             topic,
@@ -188,16 +184,11 @@ def main(argv: list[str] | None = None) -> int:
         help="ask the publishers to repeat what was lost",
     )
     arguments = parser.parse_args(argv)
-    if arguments.output is None:
-        arguments.output = Path(tempfile.mkdtemp(prefix="recorder-"))
 
     def work() -> int:
-        try:
-            arguments.output.mkdir(parents=True, exist_ok=True)
-            return run(arguments.seconds, arguments.output, arguments.reliable)
-        except (DextarError, OSError) as error:
-            print(f"error: {error}", file=sys.stderr)
-            return EXIT_FAILED
+        output = arguments.output or Path(tempfile.mkdtemp(prefix="recorder-"))
+        output.mkdir(parents=True, exist_ok=True)
+        return run(arguments.seconds, output, arguments.reliable)
 
     return run_command("recorder_bench", work)
 

@@ -28,7 +28,7 @@ def check_start(
     """Return the values of a node's parameters.
 
     The plant is of another room and says its own limits itself: of its parameters only
-        names and types are checked.
+    names and types are checked.
 
     Args:
         node: its name.

@@ -37,12 +37,12 @@ from dextar_control.identification.quantities import (
     UNITS,
     Progress,
     Quantity,
+    check_agreement,
     common_robot,
-    contradicts,
-    in_words,
+    quantity_in_words,
     rms_of,
 )
-from dextar_control.identification.recorded import RecordedMotion, recorded_of
+from dextar_control.identification.recorded import MeasuredMotion, recorded_of
 from dextar_control.identification.transmission import SURE
 from dextar_control.mechanisms.five_bar_locus import SIDES
 from dextar_control.symbols.types import Array
@@ -101,7 +101,7 @@ class CalibrationData(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """How numbers explain a recording that did not serve to find them.
+    """How well a calibration explains a recording that did not serve to find it.
 
     Attributes:
         path: of the bag.
@@ -174,17 +174,20 @@ class Calibration:
 
     @property
     def folded_told(self) -> bool:
-        """The difference of the distal lengths is told."""
+        """Whether the recordings tell the difference of the distal lengths."""
         return any(
             one.name.endswith("left.distal_length") for one in self.fit.directions
         )
 
 
-def passed_on(robot: RobotParameters, recorded: RecordedMotion) -> Array:
-    """(m, 2) torque that the transmissions pass on to the links, N m: the motors' less
+def passed_on(robot: RobotParameters, recorded: MeasuredMotion) -> Array:
+    """Compute the torques that the transmissions pass on to the links: the motors' less
     what turns their rotors.
 
     Friction of the motors is not taken off; where no torque is known it is 0.
+
+    Returns:
+        (m, 2) N m.
     """
     period = float(np.median(np.diff(recorded.time)))
     smooth = butter(2, min(CUTOFF, 0.4 / period), fs=1.0 / period, output="sos")
@@ -199,9 +202,9 @@ def passed_on(robot: RobotParameters, recorded: RecordedMotion) -> Array:
 
 
 def recording_of(
-    linkage: Linkage, robot: RobotParameters, recorded: RecordedMotion, bag: int = 0
+    linkage: Linkage, robot: RobotParameters, recorded: MeasuredMotion, bag: int = 0
 ) -> CalibrationData:
-    """What a motion says by its encoders, and by a camera if there was one."""
+    """Take what a motion says by its encoders, and by a camera if there was one."""
     time, readings, numbers = recorded.time, recorded.readings, numbers_of(robot)
     passed = passed_on(robot, recorded)
     distance = np.hypot(*linkage.elbows(numbers, readings, passed).between.T)
@@ -241,7 +244,7 @@ def recording_of(
 def calibrate(
     runs: Sequence[Run], *, poses: bool = True, progress: Progress = lambda stage: None
 ) -> Calibration:
-    """A robot's geometry from recorded runs of it.
+    """Calibrate a robot's geometry by recorded runs of it.
 
     Args:
         runs: with crossings, of one robot, whose description each of them has.
@@ -263,12 +266,12 @@ def calibrate(
 
 def calibrate_recorded(
     robot: RobotParameters,
-    motions: Sequence[RecordedMotion],
+    motions: Sequence[MeasuredMotion],
     *,
     poses: bool = True,
     progress: Progress = lambda stage: None,
 ) -> Calibration:
-    """The same of what was recorded, wherever it comes from.
+    """Calibrate a robot's geometry by recorded motions, wherever they come from.
 
     Raises:
         CalibrationError: as ``calibrate``.
@@ -316,7 +319,7 @@ def calibrate_recorded(
 
 
 def predict(calibration: Calibration, run: Run) -> Prediction:
-    """How a recording that did not serve is explained before and after.
+    """Check a calibration by a recording that did not serve to find it.
 
     Raises:
         CalibrationError: it has no fold.
@@ -350,14 +353,14 @@ def predict(calibration: Calibration, run: Run) -> Prediction:
 
 
 def robot_lines(calibration: Calibration) -> list[str]:
-    """What is known of the description's numbers."""
+    """Say what is known of the description's numbers, for its file."""
     return [
         (
             f"The robot '{calibration.after.name}', its geometry calibrated by"
             f" {int(calibration.fit.used.sum())} crossings of"
             f" {', '.join(str(one.path) for one in calibration.recordings)}."
         ),
-        *map(in_words, calibration.quantities),
+        *map(quantity_in_words, calibration.quantities),
         *calibration.kept,
     ]
 
@@ -428,7 +431,7 @@ def _check_agree(
                     np.abs(fit(linkage, numbers, recording.folds, None, wanted).gaps)
                 )
             )
-            contradicts(
+            check_agreement(
                 recording.path,
                 alone,
                 float(np.nanmedian(np.abs(found.gaps[which == bag]))),

@@ -49,7 +49,7 @@ NEGLIGIBLE = 1e-3
 
 
 class BaseParameter(NamedTuple):
-    """A sum of numbers that the torques see together: a base parameter.
+    """A sum of numbers that the torques show together only.
 
     Attributes:
         name: of the sum, in words, of the numbers in the units of ``UNITS``.
@@ -68,7 +68,7 @@ class BaseParameter(NamedTuple):
 
 @dataclass(frozen=True)
 class DynamicFit:
-    """What was found.
+    """The numbers that explain recorded torques best, and how well they are known.
 
     Attributes:
         unknowns: (k) numbers that were looked for.
@@ -104,7 +104,7 @@ class DynamicFit:
     used: NDArray[np.bool_]
 
     def value(self, name: str) -> tuple[float, float]:
-        """(value, standard deviation) of a number."""
+        """Return (value, standard deviation) of a number."""
         row = [one.name for one in self.unknowns].index(name)
         return float(self.numbers[row]), float(self.deviations[row])
 
@@ -122,7 +122,7 @@ class _Rows(NamedTuple):
 
 
 def rows_of(p: Array, motion: SmoothMotion) -> _Rows:
-    """The equation along a motion for some numbers."""
+    """Evaluate the equation along a motion for some numbers p (k,), in SI units."""
     found = regressors(DETAILED_FIVE_BAR).batch("gap")(
         p, motion.q_a, motion.x, motion.x_dot, motion.x_ddot, motion.tau
     )
@@ -132,14 +132,14 @@ def rows_of(p: Array, motion: SmoothMotion) -> _Rows:
 
 
 def rest_of(rows: _Rows, gap: Array) -> Array:
-    """Torques (m, n), N m, that a gap (m, n), N on the platform, stands for."""
+    """Convert a gap (m, n), N on the platform, to torques of the joints (m, n), N m."""
     return np.asarray(
         np.linalg.solve(rows.J_inv.transpose(0, 2, 1), gap[:, :, None])[:, :, 0]
     )
 
 
 def fit_dynamics(robot: RobotParameters, motions: Sequence[SmoothMotion]) -> DynamicFit:
-    """The numbers that explain the motions best.
+    """Find the numbers that explain the motions best.
 
     Args:
         robot: as described, where the search begins.

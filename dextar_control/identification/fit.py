@@ -61,7 +61,7 @@ SEEN_COMPLIANCE = 3e-2
 
 
 class Direction(NamedTuple):
-    """A change of the numbers that is looked for.
+    """A quantity that is looked for, as a change of the numbers.
 
     Attributes:
         name: of the quantity.
@@ -130,7 +130,7 @@ class Places(NamedTuple):
 
 @dataclass(frozen=True)
 class Fit:
-    """What was found.
+    """The numbers that explain the folds best, and how well they are known.
 
     Attributes:
         numbers: (16,) in the order of ``NAMES``.
@@ -163,14 +163,14 @@ class Fit:
 
     @property
     def gaps(self) -> Array:
-        """(k,) of the folds, m."""
+        """Gaps of the folds, (k,), m."""
         return np.array([one.gap for one in self.touches])
 
 
 def directions_of(
     folds: Sequence[Fold], places: Places | None
 ) -> tuple[Direction, ...]:
-    """What can be looked for."""
+    """List the quantities that can be looked for."""
     if places is not None:
         return EVERY
     folded = sum(fold.family is Family.FOLDED for fold in folds)
@@ -320,8 +320,8 @@ def fit(
 
     Args:
         linkage: its functions.
-        numbers: (16,) of the description, where the search begins; what is not looked
-            for stays.
+        numbers: (16,) of the description, in m, rad and rad/(N m), where the search
+            begins; what is not looked for stays.
         folds: of the recordings.
         places: of the end effector.
         directions: to look for; ``directions_of`` when None.

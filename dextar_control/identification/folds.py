@@ -33,7 +33,7 @@ SMOOTHING = 3e-7  # m, what these polynomials leave
 
 
 class Fold(NamedTuple):
-    """One place where the joints turn back.
+    """A place where the joints turn back.
 
     Attributes:
         bag: number of the recording.
@@ -85,7 +85,7 @@ def find_folds(
     bag: int = 0,
     passed: Array | None = None,
 ) -> list[Fold]:
-    """The folds of a recording, in order of time.
+    """Find the folds of a recording, in order of time.
 
     Args:
         linkage: its functions.
@@ -151,7 +151,7 @@ def _powers(instants: Array) -> Array:
 
 
 def touch(linkage: Linkage, numbers: Array, fold: Fold) -> Touch:
-    """What a fold says of these numbers (16,)."""
+    """Evaluate what a fold says of some numbers (16,), in m, rad and rad/(N m)."""
     elbows = linkage.elbows(numbers, fold.readings, fold.passed)
     coefficients = fold.smoother @ elbows.between
     slopes = coefficients[1:] * np.arange(1, DEGREE + 1)[:, None]

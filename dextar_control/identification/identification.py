@@ -33,12 +33,12 @@ from dextar_control.identification.quantities import (
     UNITS,
     Progress,
     Quantity,
+    check_agreement,
     common_robot,
-    contradicts,
-    in_words,
+    quantity_in_words,
     rms_of,
 )
-from dextar_control.identification.recorded import RecordedMotion, recorded_of
+from dextar_control.identification.recorded import MeasuredMotion, recorded_of
 from dextar_control.identification.transmission import Stiffness, stiffnesses_of
 from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.mechanisms.five_bar_locus import SIDES
@@ -71,7 +71,8 @@ STRIBECK_SPEED, STRIBECK_SURE, STRIBECK_LEAST = (
 
 
 class TorquePrediction(NamedTuple):
-    """How numbers explain the torques of a recording that did not serve to find them.
+    """How well an identification explains the torques of a recording that did not serve
+    to find it.
 
     Attributes:
         path: of the bag.
@@ -154,7 +155,7 @@ class Identification:
 def identify(
     runs: Sequence[Run], *, progress: Progress = lambda stage: None
 ) -> Identification:
-    """A robot's masses, friction and gravity from recorded runs of it.
+    """Identify a robot's masses, friction and gravity by recorded runs of it.
 
     Args:
         runs: with torques, of one robot, whose description each of them has.
@@ -174,11 +175,12 @@ def identify(
 
 def identify_recorded(
     robot: RobotParameters,
-    recordings: Sequence[RecordedMotion],
+    recordings: Sequence[MeasuredMotion],
     *,
     progress: Progress = lambda stage: None,
 ) -> Identification:
-    """The same of what was recorded, wherever it comes from.
+    """Identify a robot's masses, friction and gravity by recorded motions, wherever
+    they come from.
 
     Raises:
         CalibrationError: as ``identify``.
@@ -233,7 +235,7 @@ def identify_recorded(
 
 
 def predict_torques(identification: Identification, run: Run) -> TorquePrediction:
-    """How a recording that did not serve is explained before and after.
+    """Check an identification by a recording that did not serve to find it.
 
     Raises:
         CalibrationError: it tells nothing.
@@ -259,13 +261,13 @@ def predict_torques(identification: Identification, run: Run) -> TorquePredictio
 
 
 def identified_lines(identification: Identification) -> list[str]:
-    """What is known of the description's numbers, for its file."""
+    """Say what is known of the description's numbers, for its file."""
     return [
         (
             f"The robot '{identification.after.name}', its masses and friction"
             f" identified by {_names(identification.motions)}."
         ),
-        *map(in_words, identification.quantities),
+        *map(quantity_in_words, identification.quantities),
         *identification.told,
         *identification.kept,
     ]
@@ -330,7 +332,7 @@ def _check_agree(
                 rms_of(found.torque[rows]),
             )
             joint = int(np.argmax(together))
-            contradicts(
+            check_agreement(
                 motion.recorded.path,
                 float(alone[joint]),
                 float(together[joint]),

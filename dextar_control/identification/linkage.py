@@ -114,8 +114,8 @@ class Linkage:
 
 
 def numbers_of(robot: RobotParameters) -> Array:
-    """(16,) of a description, whose encoders err by their offsets and its transmissions
-    alone.
+    """Return the numbers (16,) of a description, in m, rad and rad/(N m); its encoders
+    err by their offsets and its transmissions alone.
     """
     return np.array(
         [
@@ -135,7 +135,7 @@ def numbers_of(robot: RobotParameters) -> Array:
 
 
 def described(robot: RobotParameters, numbers: Array) -> RobotParameters:
-    """The robot with these numbers.
+    """Return the robot with other numbers (16,), in m, rad and rad/(N m).
 
     Raises:
         ParameterError: a number is none that a description may have.

@@ -13,7 +13,7 @@ from scipy.ndimage import minimum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from dextar_control.contract.robot import RobotParameters, flatten
-from dextar_control.identification.recorded import RecordedMotion
+from dextar_control.identification.recorded import MeasuredMotion
 from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.model.model import library_of
 from dextar_control.model.regressor import regressors
@@ -40,7 +40,7 @@ EXCITE = "record dextar demo --lockstep --excite (on a rig the task excite:=20)"
 
 @dataclass(frozen=True)
 class SmoothMotion:
-    """The stretches of a motion in which the encoders tell it, on even grids.
+    """The stretches of a motion in which the encoders tell it, on even grids, smooth.
 
     Attributes:
         recorded: where they come from.
@@ -58,7 +58,7 @@ class SmoothMotion:
         rates: (k, n) of the joints at the k instants that tell something, rad/s.
     """
 
-    recorded: RecordedMotion
+    recorded: MeasuredMotion
     time: Array
     stretches: tuple[slice[int, int, None], ...]
     parallel: Array
@@ -76,15 +76,17 @@ class SmoothMotion:
     rates: Array
 
     def filtered(self, values: Array) -> Array:
-        """(m, ...) of the instants, at those that tell something."""
+        """Filter values (m, ...) of the instants, units alike, and choose those that
+        tell something.
+        """
         found = np.empty_like(values)
         for part in self.stretches:
             found[part] = sosfiltfilt(self.parallel, values[part], axis=0)
         return found[self.tells]
 
 
-def motion_of(robot: RobotParameters, recorded: RecordedMotion) -> SmoothMotion:
-    """What of a recorded motion tells something; it may be empty."""
+def motion_of(robot: RobotParameters, recorded: MeasuredMotion) -> SmoothMotion:
+    """Find the stretches of a recorded motion that tell something; maybe none."""
     p = DETAILED_FIVE_BAR.values(
         flatten(robot) | {"working_mode": recorded.working_mode}
     )
@@ -169,7 +171,7 @@ def motion_of(robot: RobotParameters, recorded: RecordedMotion) -> SmoothMotion:
 
 def _even(
     robot: RobotParameters,
-    recorded: RecordedMotion,
+    recorded: MeasuredMotion,
     rows: NDArray[np.int64],
     period: float,
     smooth: Array,
@@ -202,7 +204,7 @@ def _even(
 
 
 def _jitter(
-    recorded: RecordedMotion, period: float, smooth: Array, parallel: Array
+    recorded: MeasuredMotion, period: float, smooth: Array, parallel: Array
 ) -> Array:
     """(n,) of the joints' accelerations, rad/s^2, by what the filter takes off."""
     noise = (recorded.readings - sosfiltfilt(smooth, recorded.readings, axis=0)).std(

@@ -35,7 +35,7 @@ WORSE = (
 
 
 class Quantity(NamedTuple):
-    """One number, before and after.
+    """A number of a description, before and after.
 
     Attributes:
         name, unit: of the description.
@@ -70,8 +70,8 @@ def _rounded(number: float) -> str:
     return f"{round(number, 4) + 0.0:.4f}"
 
 
-def in_words(quantity: Quantity) -> str:
-    """Name, change and standard deviation."""
+def quantity_in_words(quantity: Quantity) -> str:
+    """Say name, change and standard deviation of a quantity."""
     unit, scale = UNITS[quantity.unit]
     now = f"{quantity.name} {_rounded(scale * quantity.after)} {unit}"
     if quantity.deviation == 0.0:
@@ -81,7 +81,8 @@ def in_words(quantity: Quantity) -> str:
 
 
 def write_robot(robot: RobotParameters, lines: Iterable[str], file: Path) -> None:
-    """A description as every node takes it; what is known of its numbers stands on top.
+    """Write a description as every node takes it, with what is known of its numbers on
+    top.
 
     Raises:
         OSError: it cannot be written.
@@ -98,10 +99,11 @@ def write_robot(robot: RobotParameters, lines: Iterable[str], file: Path) -> Non
 def common_robot(
     runs: Sequence[Run], numbers_of: Callable[[RobotParameters], Array], what: str
 ) -> RobotParameters:
-    """The description that all runs have.
+    """Find the description that all runs have.
 
     Args:
-        numbers_of: those in which they have to agree.
+        runs: that were recorded.
+        numbers_of: gives the numbers (k,), in SI units, in which they have to agree.
         what: these are, in words.
 
     Raises:
@@ -124,10 +126,11 @@ def common_robot(
     return robots[0]
 
 
-def contradicts(
+def check_agreement(
     path: Path, alone: float, together: float, least: float, unit: str
 ) -> None:
-    """Several recordings are explained together about as well as each of them alone.
+    """Check that several recordings are explained together about as well as one of them
+    alone.
 
     Args:
         path: of one of them.
@@ -150,7 +153,9 @@ def contradicts(
 
 
 def rms_of(values: Array) -> float:
-    """Root of the mean square of those that are numbers; nan of none."""
+    """Compute the root of the mean square of values (n, ...), units alike; nan ones do
+    not count.
+    """
     return (
         float(np.sqrt(np.nanmean(np.square(values))))
         if np.isfinite(values).any()

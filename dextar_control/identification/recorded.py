@@ -18,7 +18,7 @@ STALE = 0.02  # s, age of a command or a belief that still counts
 FEWEST = 50  # states, of which filters can tell something
 
 
-class RecordedMotion(NamedTuple):
+class MeasuredMotion(NamedTuple):
     """A motion as its encoders, its controller and perhaps a camera told it.
 
     Attributes:
@@ -44,8 +44,8 @@ class RecordedMotion(NamedTuple):
     believed: bool = False
 
 
-def recorded_of(run: Run, robot: RobotParameters, record: str) -> RecordedMotion:
-    """That of a bag.
+def recorded_of(run: Run, robot: RobotParameters, record: str) -> MeasuredMotion:
+    """Take the motion of a bag.
 
     Args:
         robot: as described, where the bag does not say.
@@ -73,7 +73,7 @@ def recorded_of(run: Run, robot: RobotParameters, record: str) -> RecordedMotion
     else:
         told = number_of(run.parameters.get("controller", {}).get("assembly_mode"))
         side = np.full(len(stamps), 1.0 if np.isnan(told) else told)
-    return RecordedMotion(
+    return MeasuredMotion(
         run.path,
         (run.robot or robot).working_mode,
         ((stamps - stamps[0]) * 1e-9)[known],

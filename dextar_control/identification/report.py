@@ -97,13 +97,13 @@ def write_results(
         ) from error
 
 
-def short(bag: Path) -> str:
-    """A bag's name with its folder's, by which runs differ."""
+def short_name(bag: Path) -> str:
+    """Name a bag by its folder and file, by which runs differ."""
     return "/".join(bag.parts[-2:])
 
 
 def summary(title: str, quantities: Sequence[Quantity]) -> Table:
-    """What was found, for a terminal."""
+    """Make what was found a table for a terminal."""
     table = Table(title=title, title_justify="left")
     for name in ("", "before", "after", "+-", ""):
         table.add_column(name, justify="left" if not name else "right")
@@ -115,7 +115,7 @@ def summary(title: str, quantities: Sequence[Quantity]) -> Table:
 def quantity_table(
     quantities: Sequence[Quantity],
 ) -> tuple[list[Column], list[list[Cell]]]:
-    """The same for the page."""
+    """Make what was found a table for the page."""
     columns = [
         Column("quantity", text=True),
         Column("before"),
@@ -126,8 +126,8 @@ def quantity_table(
     return columns, [[Cell(text) for text in quantity.cells] for quantity in quantities]
 
 
-def predicted(prediction: Prediction) -> str:
-    """What the numbers are worth on a bag that did not serve."""
+def prediction_in_words(prediction: Prediction) -> str:
+    """Say what a calibration is worth on a bag that did not serve to find it."""
     text = (
         f"{prediction.path}, not used: gaps of {counted(prediction.folds, 'crossing')}"
         f" {UM * prediction.before:.0f} um RMS before, {UM * prediction.after:.2f} um"
@@ -143,8 +143,8 @@ def predicted(prediction: Prediction) -> str:
     )
 
 
-def sentence(calibration: Calibration) -> str:
-    """How well the folds, and the places, are explained."""
+def fit_in_words(calibration: Calibration) -> str:
+    """Say how well the folds, and the places, are explained."""
     fit, used = calibration.fit, calibration.fit.used
     before, after = (
         float(np.sqrt(np.nanmean(np.square(gaps[used])))) if used.any() else np.nan
@@ -170,7 +170,7 @@ def sentence(calibration: Calibration) -> str:
 def render_calibration(
     calibration: Calibration, predictions: Sequence[Prediction]
 ) -> str:
-    """The page."""
+    """Render the page of a calibration."""
     fit, folds = calibration.fit, calibration.folds
     figures = {
         "before": residuals(
@@ -195,7 +195,7 @@ def render_calibration(
         rows.append(
             [
                 Cell(str(index + 1)),
-                Cell(short(calibration.recordings[fold.bag].path)),
+                Cell(short_name(calibration.recordings[fold.bag].path)),
                 Cell(f"{fold.time:.3f}"),
                 Cell(fold.family.name.lower()),
                 *(Cell(number(MM * value, ".2f")) for value in one.x),
@@ -223,9 +223,9 @@ def render_calibration(
         title=f"{calibration.after.name}: geometry calibrated",
         heading=(
             f"{calibration.after.name}: geometry by"
-            f" {', '.join(short(one.path) for one in calibration.recordings)}"
+            f" {', '.join(short_name(one.path) for one in calibration.recordings)}"
         ),
-        sentence=sentence(calibration),
+        sentence=fit_in_words(calibration),
         verdict="Calibrated.",
         quantities=quantity_table(calibration.quantities),
         kept=calibration.kept,
@@ -298,8 +298,8 @@ def write_identification(
     )
 
 
-def torques_predicted(prediction: TorquePrediction) -> str:
-    """What the numbers are worth on a bag that did not serve."""
+def torque_prediction_in_words(prediction: TorquePrediction) -> str:
+    """Say what an identification is worth on a bag that did not serve to find it."""
     most = max(0.5 * prediction.before, 0.1 * prediction.torque)
     return (
         f"{prediction.path}, not used: of torques of {MNM * prediction.torque:.1f} mN m"
@@ -310,8 +310,8 @@ def torques_predicted(prediction: TorquePrediction) -> str:
     )
 
 
-def torques_sentence(identification: Identification) -> str:
-    """How well the torques are explained."""
+def torque_fit_in_words(identification: Identification) -> str:
+    """Say how well the torques are explained."""
     fit = identification.fit
     used = fit.used
     before, after, torque = (
@@ -332,10 +332,12 @@ def torques_sentence(identification: Identification) -> str:
 def render_identification(
     identification: Identification, predictions: Sequence[TorquePrediction]
 ) -> str:
-    """The page."""
+    """Render the page of an identification."""
     fit, names = (
         identification.fit,
-        ", ".join(short(motion.recorded.path) for motion in identification.motions),
+        ", ".join(
+            short_name(motion.recorded.path) for motion in identification.motions
+        ),
     )
     none = np.zeros(len(fit.rest))
     figures = {
@@ -362,7 +364,7 @@ def render_identification(
         title=f"{identification.after.name}: masses and friction identified",
         heading=f"{identification.after.name}: masses and friction by {names}",
         verdict="Identified.",
-        sentence=torques_sentence(identification),
+        sentence=torque_fit_in_words(identification),
         quantities=quantity_table(identification.quantities),
         kept=identification.kept,
         told=(

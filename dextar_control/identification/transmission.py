@@ -20,7 +20,7 @@ OUTLIER = 4.0  # standard deviations
 
 
 class Stiffness(NamedTuple):
-    """Of a transmission, N m/rad, and its standard deviation."""
+    """Stiffness of a transmission, N m/rad, and its standard deviation."""
 
     value: float
     deviation: float
@@ -29,7 +29,7 @@ class Stiffness(NamedTuple):
 def stiffnesses_of(
     robot: RobotParameters, motions: Sequence[SmoothMotion]
 ) -> list[Stiffness | None]:
-    """Of each joint's transmission; None where it is not told.
+    """Find the stiffness of each joint's transmission; None where it is not told.
 
     A link lags behind its motor by what the transmission passes on over its stiffness;
     an offset and a term once a turn allow for a geometry that is not quite the

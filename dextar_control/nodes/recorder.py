@@ -14,8 +14,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.executors import Executor
 from std_srvs.srv import Trigger
 
-from dextar_control.bags.mcap_file import SerializedMessage
-from dextar_control.bags.writer import COMPRESSIONS
+from dextar_control.bags.mcap_file import COMPRESSIONS, SerializedMessage
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
 from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.plain_data import ParameterValue

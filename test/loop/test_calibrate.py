@@ -38,7 +38,10 @@ from dextar_control.identification.folds import Fold, find_folds
 from dextar_control.identification.identification import TorquePrediction
 from dextar_control.identification.linkage import NAMES, Linkage, described, numbers_of
 from dextar_control.identification.recorded import recorded_of
-from dextar_control.identification.report import predicted, torques_predicted
+from dextar_control.identification.report import (
+    prediction_in_words,
+    torque_prediction_in_words,
+)
 from dextar_control.mechanisms.five_bar_locus import Family
 from dextar_control.model.model import Model
 from dextar_control.planning.planner import Plan
@@ -207,13 +210,13 @@ def test_numbers_come_back_within_their_deviations() -> None:
 
 def test_a_tour_that_the_robot_was_driven_through_calibrates_it() -> None:
     numbers = wrong(np.random.default_rng(3))
-    readings = drive_step(numbers)
+    readings = driven(numbers)
     found = fit(LINKAGE, NOMINAL, folds_of(readings))
     assert found.used.sum() == 12
     assert np.abs(found.numbers - as_kept(numbers))[LENGTHS].max() <= 20e-6
 
 
-def drive_step(numbers: np.ndarray) -> np.ndarray:
+def driven(numbers: np.ndarray) -> np.ndarray:
     """What the encoders read while the controller drives a robot through the tour that
     it takes for the described one.
     """
@@ -431,11 +434,11 @@ def test_encoders_that_begin_anew_each_turn_are_read_on() -> None:
 
 def test_a_check_that_the_numbers_do_not_explain_says_so() -> None:
     one = Prediction(Path("b.mcap"), 9, 8e-4, 7e-6, np.nan, np.nan)
-    assert "do not hold" not in predicted(one)
-    assert "do not hold" in predicted(one._replace(after=7e-4))
+    assert "do not hold" not in prediction_in_words(one)
+    assert "do not hold" in prediction_in_words(one._replace(after=7e-4))
     other = TorquePrediction(Path("b.mcap"), 300, 0.1, 0.04, 0.002)
-    assert "do not hold" not in torques_predicted(other)
-    assert "do not hold" in torques_predicted(other._replace(after=0.03))
+    assert "do not hold" not in torque_prediction_in_words(other)
+    assert "do not hold" in torque_prediction_in_words(other._replace(after=0.03))
 
 
 def slipped(readings: np.ndarray) -> np.ndarray:

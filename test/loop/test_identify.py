@@ -26,7 +26,7 @@ from dextar_control.contract.errors import (
 from dextar_control.contract.robot import RobotParameters, flatten, load_robot
 from dextar_control.experiments.campaign import self_calibration
 from dextar_control.experiments.campaign.design import CrossingPoint, Trial
-from dextar_control.experiments.campaign.self_calibration import record
+from dextar_control.experiments.campaign.self_calibration import record_motion
 from dextar_control.experiments.campaign.trial import run_trial, sample_points
 from dextar_control.identification.dynamics import DynamicFit
 from dextar_control.identification.identification import (
@@ -34,7 +34,7 @@ from dextar_control.identification.identification import (
     identify_recorded,
 )
 from dextar_control.identification.quantities import UNITS
-from dextar_control.identification.recorded import RecordedMotion
+from dextar_control.identification.recorded import MeasuredMotion
 from dextar_control.mechanisms import DETAILED_FIVE_BAR, mechanism_named
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.model.regressor import regressors, sizes_of, unknowns_of
@@ -66,14 +66,16 @@ def exciting() -> Plan:
 
 
 @functools.cache
-def recorded(plant: str = "cartesian", **rig: Any) -> RecordedMotion:
+def recorded(plant: str = "cartesian", **rig: Any) -> MeasuredMotion:
     """What a robot that is not the one described records of the exciting motion."""
-    return record(ROBOT, exciting(), Rig(ROBOT.replace(**ROUGH), plant=plant, **rig))
+    return record_motion(
+        ROBOT, exciting(), Rig(ROBOT.replace(**ROUGH), plant=plant, **rig)
+    )
 
 
 @functools.cache
-def plain() -> RecordedMotion:
-    return record(ROBOT, exciting(), Rig(ROBOT, plant="cartesian"))
+def plain() -> MeasuredMotion:
+    return record_motion(ROBOT, exciting(), Rig(ROBOT, plant="cartesian"))
 
 
 @functools.cache
@@ -236,7 +238,7 @@ def test_the_transmission_is_told_by_poses_beside_encoders_at_the_motors() -> No
         }
     )
     rig = Rig(belt, plant="cartesian", pose_rate=100.0, pose_noise=2e-4)
-    found = identify_recorded(ROBOT, [record(ROBOT, exciting(), rig)])
+    found = identify_recorded(ROBOT, [record_motion(ROBOT, exciting(), rig)])
     for told in found.stiffnesses:
         assert told is not None
         assert abs(told.value - 100.0) <= 4.0 * told.deviation
@@ -249,15 +251,15 @@ def test_the_transmission_is_told_by_poses_beside_encoders_at_the_motors() -> No
     )
 
 
-def with_torque(change: Callable[[RecordedMotion], np.ndarray]) -> RecordedMotion:
+def with_torque(change: Callable[[MeasuredMotion], np.ndarray]) -> MeasuredMotion:
     return plain()._replace(torque=change(plain()))
 
 
-def with_readings(change: Callable[[RecordedMotion], np.ndarray]) -> RecordedMotion:
+def with_readings(change: Callable[[MeasuredMotion], np.ndarray]) -> MeasuredMotion:
     return plain()._replace(readings=change(plain()))
 
 
-def part(rows: np.ndarray) -> RecordedMotion:
+def part(rows: np.ndarray) -> MeasuredMotion:
     one = plain()
     return one._replace(
         time=one.time[rows],
@@ -267,7 +269,7 @@ def part(rows: np.ndarray) -> RecordedMotion:
     )
 
 
-def forwards() -> RecordedMotion:
+def forwards() -> MeasuredMotion:
     """A left joint that turns forwards on and on, by its encoder."""
     one = recorded()
     readings = one.readings.copy()
@@ -307,7 +309,7 @@ def forwards() -> RecordedMotion:
     ],
 )
 def test_what_a_recording_cannot_tell_is_refused_with_what_to_do(
-    one: Callable[[], RecordedMotion], words: str
+    one: Callable[[], MeasuredMotion], words: str
 ) -> None:
     with pytest.raises(CalibrationError, match=words) as refusal:
         identify_recorded(ROBOT, [one()])
@@ -362,7 +364,7 @@ def trial_of(point: CrossingPoint, perturbation: dict[str, float]) -> Trial:
     )
 
 
-def write_bag(file: Path, one: RecordedMotion) -> Path:
+def write_bag(file: Path, one: MeasuredMotion) -> Path:
     """A bag of joint states and commands that says its robot."""
     writer, clock = BagWriter(file), made.START
     flat = {
@@ -403,7 +405,7 @@ def test_the_command_writes_a_robot_file_and_a_page(
     half = len(plain().time) // 2
     other = write_bag(
         tmp_path / "b.mcap",
-        RecordedMotion(
+        MeasuredMotion(
             *(
                 values[half:] if isinstance(values, np.ndarray) else values
                 for values in recorded()

@@ -13,7 +13,7 @@ import pytest
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.robot import load_robot
-from dextar_sim.rig import PLANTS, Rig, Sample
+from dextar_sim.rig import PLANTS, ControllerInput, Rig
 
 DEXTAR = load_robot(config_file("dextar.yaml"))
 START = (0.0, 0.105)
@@ -28,7 +28,7 @@ def wavy(step: int) -> tuple[float, float]:
 
 def drive(
     rig: Rig, steps: int
-) -> tuple[list[Sample | None], list[list[float]], list[np.ndarray]]:
+) -> tuple[list[ControllerInput | None], list[list[float]], list[np.ndarray]]:
     """Samples, applied torques and true positions; a lost sample gets no answer."""
     samples, applied, truth = [], [], []
     for step in range(steps):
@@ -38,7 +38,7 @@ def drive(
     return samples, applied, truth
 
 
-def flat(samples: list[Sample | None]) -> list[Any]:
+def flat(samples: list[ControllerInput | None]) -> list[Any]:
     return [
         sample
         and (
@@ -50,7 +50,9 @@ def flat(samples: list[Sample | None]) -> list[Any]:
     ]
 
 
-def poses(samples: list[Sample | None]) -> list[tuple[float, float, np.ndarray]]:
+def poses(
+    samples: list[ControllerInput | None],
+) -> list[tuple[float, float, np.ndarray]]:
     """(time of arrival, time of truth, x) of each delivered external measurement."""
     return [
         (sample.time, sample.pose.time, sample.pose.x)

@@ -23,7 +23,7 @@ from synthetic_run import (
 
 from dextar_control.analysis import Run, load_run
 from dextar_control.analysis.animate import _Scene, animate, find_ffmpeg
-from dextar_control.analysis.motion import motion_of
+from dextar_control.analysis.motion import frames_of
 from dextar_control.cli import main as cli
 from dextar_control.contract.errors import ParameterError
 from dextar_sim.replay import Player, read_motion
@@ -49,7 +49,7 @@ def ignore(done: int, total: int) -> None:
 
 
 def test_frames_are_the_recorded_motion_at_their_times(run: Run) -> None:
-    motion = motion_of(run, 0.01, 0.2, 0.4)
+    motion = frames_of(run, 0.01, 0.2, 0.4)
     assert motion.true
     assert motion.time == pytest.approx(np.arange(0.2, 0.4001, 0.01))
     for frame, time in enumerate(motion.time):
@@ -61,14 +61,14 @@ def test_frames_are_the_recorded_motion_at_their_times(run: Run) -> None:
 
 
 def test_a_peak_between_two_frames_is_in_the_torques_course(run: Run) -> None:
-    motion = motion_of(run, 0.01, 0.2, 0.4)
+    motion = frames_of(run, 0.01, 0.2, 0.4)
     assert np.abs(motion.torque).max() < NEAR_TORQUE  # the frames pass over it
     assert np.abs(motion.course).max() == NEAR_TORQUE
     assert (motion.course_time[0], motion.course_time[-1]) == pytest.approx((0.2, 0.4))
 
 
 def test_the_drawn_linkage_has_the_robots_lengths(run: Run) -> None:
-    motion = motion_of(run, 0.05)
+    motion = frames_of(run, 0.05)
     for frame in range(len(motion.time)):
         links = motion.chain(frame)
         lengths = np.hypot(*np.diff(links, axis=0).T)
@@ -77,7 +77,7 @@ def test_the_drawn_linkage_has_the_robots_lengths(run: Run) -> None:
 
 
 def test_t_s_is_across_the_stretched_distal_links_at_the_crossing(run: Run) -> None:
-    motion = motion_of(run, 1e-3)
+    motion = frames_of(run, 1e-3)
     frame = int(np.abs(motion.s).argmin())
     assert abs(motion.s[frame]) < 0.01
     assert (
@@ -87,7 +87,7 @@ def test_t_s_is_across_the_stretched_distal_links_at_the_crossing(run: Run) -> N
 
 def test_a_rigs_bag_is_replayed_from_the_estimate(tmp_path: Path) -> None:
     write_run(tmp_path / "rig.mcap", truth=False)
-    motion = motion_of(load_run(tmp_path / "rig.mcap"), 0.01)
+    motion = frames_of(load_run(tmp_path / "rig.mcap"), 0.01)
     assert not motion.true
     assert motion.x[30] == pytest.approx(
         [0.0, path(round(motion.time[30], 3))[0]], abs=ROUNDING
@@ -154,7 +154,7 @@ def test_a_webp_is_dark_where_that_is_asked_for(bag: Path, tmp_path: Path) -> No
 
 
 def test_no_time_is_minus_nought(run: Run) -> None:
-    motion = motion_of(run, 0.1, 0.0, 0.1)
+    motion = frames_of(run, 0.1, 0.0, 0.1)
     scene = _Scene(
         motion._replace(time=motion.time - 4e-4, s=motion.s * 0.0 - 1e-5), 1.0
     )
@@ -173,14 +173,14 @@ def test_an_animation_that_breaks_off_leaves_the_file_that_was_there(
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        animate(motion_of(run, 0.1), file, 1.0, 10, stop)
+        animate(frames_of(run, 0.1), file, 1.0, 10, stop)
     assert [entry.name for entry in tmp_path.iterdir()] == ["replay.gif"]
     assert file.read_text() == "before"
 
 
 def test_an_mp4_has_every_frame(run: Run, tmp_path: Path) -> None:
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    motion = motion_of(run, 0.02, 0.2, 0.3)
+    motion = frames_of(run, 0.02, 0.2, 0.3)
     animate(motion, tmp_path / "replay.mp4", 0.4, 20, ignore)
     frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "replay.mp4"))
     assert frames == len(motion.time)
@@ -226,7 +226,7 @@ def test_what_cannot_be_shown_is_refused_in_one_sentence(
 
 
 def test_pybullet_shows_the_end_effector_where_it_was(run: Run, tmp_path: Path) -> None:
-    motion = motion_of(run, 0.02)
+    motion = frames_of(run, 0.02)
     motion.write(tmp_path / "motion.npz", 0.5)
     player = Player(read_motion(tmp_path / "motion.npz"), window=False)
     try:
@@ -251,7 +251,7 @@ def test_pybullet_shows_the_end_effector_where_it_was(run: Run, tmp_path: Path) 
 def test_the_windows_program_plays_a_motion_file_to_its_end(
     run: Run, tmp_path: Path
 ) -> None:
-    motion_of(run, 0.05).write(tmp_path / "motion.npz", 0.5)
+    frames_of(run, 0.05).write(tmp_path / "motion.npz", 0.5)
     command = [
         sys.executable,
         "-m",
@@ -272,4 +272,4 @@ def test_the_windows_program_plays_a_motion_file_to_its_end(
 
 def test_time_zero_is_the_trajectorys_start(run: Run) -> None:
     assert run.states.stamps[0] == START
-    assert motion_of(run, 0.1).time[0] == pytest.approx(0.0, abs=1e-9)
+    assert frames_of(run, 0.1).time[0] == pytest.approx(0.0, abs=1e-9)

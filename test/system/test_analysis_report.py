@@ -23,7 +23,7 @@ from dextar_control.analysis.figure import draw_run
 from dextar_control.analysis.page import render_report
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.report import analyze, summary_lines
-from dextar_control.analysis.run import RecordedTopic
+from dextar_control.analysis.run import TopicCounts
 from dextar_control.analysis.web_figures import in_plane
 from dextar_control.cli import main as cli
 from dextar_control.cli.analyze import folders
@@ -218,8 +218,8 @@ def test_losses_phases_parameters_and_versions_are_there() -> None:
 
 def test_only_a_topic_with_a_rate_of_its_own_has_a_mean_rate() -> None:
     run, metrics, _ = made()
-    burst = RecordedTopic("rcl_interfaces/msg/ParameterEvent", 150, 1_000, 50_001_000)
-    other = RecordedTopic(
+    burst = TopicCounts("rcl_interfaces/msg/ParameterEvent", 150, 1_000, 50_001_000)
+    other = TopicCounts(
         "sensor_msgs/msg/Image", 150, 1_000, 50_001_000
     )  # of another type than the contract's
     topics = {

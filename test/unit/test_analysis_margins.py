@@ -30,7 +30,7 @@ START, GOAL = np.array([0.0, 0.105]), np.array([0.0, 0.06])
 PUSH, PUSHED = 1.0, (0.34, 0.36)  # N along y, s
 
 
-def drive_step() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
+def driven() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
     """A pushed trip in a plain loop as a bag would hold it: (run, (share, value, limit)
     per watch, longest time saturated).
     """
@@ -125,7 +125,7 @@ def by_name(margins: Margins) -> dict[str, Margin]:
 
 
 def test_the_watches_are_those_that_the_controller_had() -> None:
-    run, nearest, longest = drive_step()
+    run, nearest, longest = driven()
     track = tracked(run)
     margins = measure_margins(
         run, track, None, measure_timing(run, track), math.inf, math.nan

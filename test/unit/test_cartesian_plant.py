@@ -56,12 +56,10 @@ def assembly(state: PlantState) -> float:
     return math.sin(theta[3] - theta[1])
 
 
-def run(
-    plant: Plant | CartesianPlant, steps: int, drive_step: bool
-) -> list[PlantState]:
+def run(plant: Plant | CartesianPlant, steps: int, driven: bool) -> list[PlantState]:
     states = [plant.state()]
     for step in range(steps):
-        plant.step(wavy(step) if drive_step else (0.0, 0.0))
+        plant.step(wavy(step) if driven else (0.0, 0.0))
         states.append(plant.state())
     return states
 
@@ -110,7 +108,7 @@ def test_free_motion_through_the_locus_is_exact(
 ) -> None:
     plant = CartesianPlant(robot)
     plant.reset(x, x_dot)
-    states = run(plant, 200, drive_step=False)
+    states = run(plant, 200, driven=False)
     assert assembly(states[0]) * assembly(states[-1]) < 0.0
     exact, velocity = integrate(robot, states[0], 0.2)
     assert math.dist(states[-1].x, exact) < EXACT_MOTION
@@ -120,12 +118,12 @@ def test_free_motion_through_the_locus_is_exact(
 @pytest.mark.parametrize("driven", [False, True])
 @pytest.mark.parametrize(("x", "x_dot"), THROUGH)
 def test_both_plants_move_alike_through_the_locus(
-    x: tuple[float, float], x_dot: tuple[float, float], drive_step: bool
+    x: tuple[float, float], x_dot: tuple[float, float], driven: bool
 ) -> None:
     runs = []
     for plant in (Plant(DEXTAR), CartesianPlant(DEXTAR)):
         plant.reset(x, x_dot)
-        runs.append(run(plant, 400, drive_step))
+        runs.append(run(plant, 400, driven))
         plant.close()
     assert min(map(assembly, runs[0])) < -0.1 < 0.1 < max(map(assembly, runs[0]))
     assert (
@@ -179,7 +177,7 @@ def test_energy_is_kept(gravity: tuple[float, float]) -> None:
     robot = DEXTAR.replace(gravity=gravity)
     plant = CartesianPlant(robot)
     plant.reset((0.02, 0.105), (0.2, -0.15))
-    states = run(plant, 1000, drive_step=False)
+    states = run(plant, 1000, driven=False)
     energies = [energy(robot, state) for state in states]
     kinetic = max(energy(robot.replace(gravity=(0.0, 0.0)), state) for state in states)
     assert max(abs(value - energies[0]) for value in energies) < ENERGY_DRIFT * kinetic
@@ -191,7 +189,7 @@ def test_error_is_of_fourth_order() -> None:
         plant = CartesianPlant(DEXTAR, period=8.0e-3, substeps=substeps)
         start = plant.reset((0.0, 0.1), (0.1, -0.8))
         exact = integrate(DEXTAR, start, 0.16)[0] if exact is None else exact
-        errors.append(math.dist(run(plant, 20, drive_step=False)[-1].x, exact))
+        errors.append(math.dist(run(plant, 20, driven=False)[-1].x, exact))
     assert errors[1] < errors[0] / FOURTH_ORDER
     assert errors[2] < errors[1] / FOURTH_ORDER
 
@@ -231,7 +229,7 @@ def test_joints_close_the_loop_in_the_working_mode_and_never_jump(
     plant = CartesianPlant(robot)
     start = plant.reset((0.01, 0.1), (0.05, -0.2))
     for before, after in zip(
-        (states := run(plant, 300, drive_step=False)), states[1:], strict=False
+        (states := run(plant, 300, driven=False)), states[1:], strict=False
     ):
         theta = absolute(after.joints)
         for leg, base in enumerate((-0.059, 0.059)):
@@ -259,7 +257,7 @@ def test_joints_go_on_counting_past_half_a_turn() -> None:
     ends = []
     for plant in (Plant(robot), CartesianPlant(robot)):
         plant.reset((-0.09, 0.09), (-0.2, -0.4))
-        states = run(plant, 120, drive_step=False)
+        states = run(plant, 120, driven=False)
         assert max(state.joints[0] for state in states) > math.pi + 0.1
         ends.append(states[-1].joints)
         plant.close()
@@ -285,8 +283,8 @@ def test_a_leg_passes_where_it_is_stretched() -> None:
     start = plant.reset((0.02, 0.105), (0.2, -0.15))
     other.reset((0.02, 0.105), (0.2, -0.15))
     end, built = (
-        run(plant, 800, drive_step=False)[-1],
-        run(other, 800, drive_step=False)[-1],
+        run(plant, 800, driven=False)[-1],
+        run(other, 800, driven=False)[-1],
     )
     other.close()
     assert any(
@@ -304,7 +302,7 @@ def test_both_legs_stretched_end_the_run_with_words() -> None:
         StateError,
         match=r"both legs are stretched or folded: the larger .* needs >= 0.01",
     ):
-        run(plant, 500, drive_step=False)
+        run(plant, 500, driven=False)
 
 
 def test_a_reset_repeats_a_run_bit_for_bit() -> None:
@@ -312,9 +310,7 @@ def test_a_reset_repeats_a_run_bit_for_bit() -> None:
     traces = []
     for _ in range(2):
         plant.reset((0.01, 0.1), (0.05, -0.2))
-        traces.append(
-            [state.joints.tolist() for state in run(plant, 100, drive_step=True)]
-        )
+        traces.append([state.joints.tolist() for state in run(plant, 100, driven=True)])
     assert traces[0] == traces[1]
 
 

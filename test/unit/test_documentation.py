@@ -35,10 +35,51 @@ def test_every_command_exists_as_it_is_written(page: Path) -> None:
         check(line)
     for span in spans(page):
         if (
-            re.match(r"(make|dextar|\.venv/bin/dextar|ros2) ", span)
+            re.match(
+                r"(make|dextar|\.venv/bin/dextar|(\.venv/bin/)?python|ros2) ", span
+            )
             and "NAME" not in span
         ):
             check(span, whole=False)
+
+
+OF_ROS2_CONTROL = {
+    "joint_states_topic",
+    "joint_commands_topic",
+    "trigger_joint_command_threshold",
+}
+
+
+def words_of_the_code() -> set[str]:
+    """Every name in the package, its settings and its tests."""
+    places = (
+        "dextar_control",
+        "dextar_sim",
+        "config",
+        "launch",
+        "interfaces",
+        "test",
+        "examples",
+    )
+    files = [
+        file for place in places for file in (ROOT / place).rglob("*") if file.is_file()
+    ]
+    kinds = {".py", ".yaml", ".msg", ".action", ".html", ".js"}
+    texts = (file.read_text(encoding="utf-8") for file in files if file.suffix in kinds)
+    return {word for text in texts for word in re.findall(r"\w+", text)}
+
+
+def test_names_and_files_of_the_code_are_what_they_are_called() -> None:
+    known, unknown = words_of_the_code() | OF_ROS2_CONTROL, []
+    for page in PAGES:
+        for span in spans(page):
+            if re.fullmatch(r"[a-z]+(?:_[a-z0-9]+)+", span) and span not in known:
+                unknown.append(f"{page.name}: {span}")
+            if re.fullmatch(r"\w+/[\w/]+\.(?:py|yaml|xml|json)", span):
+                rooms = ROOT, ROOT / "dextar_control"
+                if not any((room / span).exists() for room in rooms):
+                    unknown.append(f"{page.name}: {span}")
+    assert not unknown
 
 
 # Where a user meets refusals, and what says one beside the errors that are raised.

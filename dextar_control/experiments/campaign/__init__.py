@@ -3,13 +3,13 @@ estimators x plants x seeds.
 
 - ``config``: what the campaign file says, checked; ``ranges``: limits of perturbations
   and bars; ``selection``: what the command line changes; ``rig``: the rig that the
-  file names.
+  file names, and what it must offer.
 - ``design``: the trials that follow from it, each with its key; ``trial``: one of them,
-  run.
+  run; ``self_calibration``: a robot that is calibrated by its own recordings first.
 - ``pool``: worker processes, here or of a running Dask scheduler; ``worker``: what they
   call.
-- ``store``: the folder of rows, appended as they come; ``run``: all of it, with its
-  progress; ``rerun``: one row.
+- ``rows``: what a trial gives; ``store``: the folder of rows, appended as they come;
+  ``run``: all of it, with its progress; ``rerun``: one row.
 - ``summary``, ``report``, ``figure``, ``outcome``: statistics and bars, their tables,
   their picture, all in the folder.
 """

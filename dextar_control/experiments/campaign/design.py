@@ -177,7 +177,7 @@ NUMBERS = (
 
 def code_digest(rig: str, trial: str, own: Sequence[str] = ()) -> str:
     """Return a digest of the sources that a row's numbers come from: contract,
-    mathematics, the trial, the rig's package and one's own.
+    mathematics, the trial, the rig's package and the user's own.
 
     Args:
         rig: ``module:Class``.

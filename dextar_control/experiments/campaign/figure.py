@@ -58,12 +58,13 @@ def draw_summary(config: CampaignConfig, groups: Sequence[Group], plant: str) ->
         )
         _point(success, y, 100.0 * group.success, style)
         _range(error, y, 1e3 * group.median_error, 1e3 * group.max_error, style)
+        # the axis ends there
         _point(
             torque,
             y,
             min(max(group.peak_ratio_near, TORQUE_RANGE[0]), TORQUE_RANGE[1]),
             style,
-        )  # the axis ends there
+        )
         if group.judged:
             _bars(
                 success,

@@ -8,6 +8,8 @@ import json
 import math
 import platform
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 from matplotlib.figure import Figure
 
@@ -24,10 +26,123 @@ from dextar_control.experiments.campaign.rows import Row
 from dextar_control.experiments.campaign.store import Store
 
 EXIT_FAILED = 1
-Reliability = dict[str, dict[str, reliability.Bin]]
 PAGE_FILE = "report.html"
 SHOWN_FAILURES, LISTED_FAILURES = 8, 200  # on the terminal, on the page
 RESOLUTION = 150  # dots per inch
+
+
+@dataclass(frozen=True)
+class Results:
+    """The rows of a campaign, and what follows from them."""
+
+    config: CampaignConfig
+    rows: Sequence[Row]
+
+    @cached_property
+    def groups(self) -> list[summary.Group]:
+        """The statistics of each case and combination."""
+        return summary.summarise(self.config, self.rows)
+
+    @cached_property
+    def bins(self) -> dict[str, dict[str, reliability.Bin]]:
+        """How sure each estimator was, and how often right."""
+        return reliability.reliability(self.rows)
+
+    @cached_property
+    def speeds(self) -> dict[str, float]:
+        """Real-time factor of one core on each plant that was measured."""
+        factors = {
+            plant: summary.real_time_factor(
+                row for row in self.rows if row["plant"] == plant
+            )
+            for plant in self.config.plants
+        }
+        return {name: value for name, value in factors.items() if math.isfinite(value)}
+
+    @property
+    def speed(self) -> str:
+        """The same in words."""
+        return ", ".join(
+            f"{factor:.1f} x real time on {plant}"
+            for plant, factor in self.speeds.items()
+        )
+
+    @property
+    def default_name(self) -> str:
+        """The combination and the plant that the bars are for, in words."""
+        default = self.config.default
+        return f"{default.law} / {default.estimator} on {default.plant}"
+
+    def failures(self, *, of_default: bool) -> list[list[str]]:
+        """List the rows that failed, of the default combination or of the others."""
+        default = self.config.default
+        wanted = (default.law, default.estimator, default.plant)
+        return report.failures(
+            row
+            for row in self.rows
+            if ((row["law"], row["estimator"], row["plant"]) == wanted) is of_default
+        )
+
+    @cached_property
+    def missed(self) -> list[str]:
+        """A sentence for each bar that is missed."""
+        return report.missed_lines(self.groups)
+
+    @property
+    def bars(self) -> int:
+        """How many bars there are."""
+        return sum(len(group.verdicts) for group in self.groups)
+
+    @property
+    def verdict(self) -> str:
+        """How many bars hold, in words."""
+        if not self.bars:
+            return (
+                f"no bars: none of the rows is of {self.default_name}, or the cases ask"
+                " for nothing"
+            )
+        held = f"{self.bars - len(self.missed)} of" if self.missed else "all"
+        return f"{held} {self.bars} bars hold"
+
+    @property
+    def extent(self) -> str:
+        """What the campaign is made of, in a sentence."""
+        config = self.config
+        return (
+            f"{counted(len(self.rows), 'row')}:"
+            f" {counted(config.points.count, 'crossing point')}"
+            f" ({config.points.folded} folded),"
+            f" {counted(len(config.directions), 'direction')},"
+            f" {counted(config.seeds, 'seed')} from {config.seed}; one way lasts"
+            f" {config.duration:g} s unless the case says otherwise."
+        )
+
+    @property
+    def confidence_sentences(self) -> list[str]:
+        """A sentence on each estimator that states a confidence."""
+        return [reliability.in_words(*item) for item in self.bins.items()]
+
+    def figures(self) -> dict[str, Figure]:
+        """Draw one figure for each plant, by the names of their files."""
+        config, plants = (
+            self.config,
+            dict.fromkeys(group.plant for group in self.groups),
+        )
+        return {
+            "figure"
+            if plant == config.default.plant or len(config.plants) == 1
+            else f"figure-{plant}": draw_summary(config, self.groups, plant)
+            for plant in plants
+        }
+
+    def further_figures(self) -> dict[str, Figure]:
+        """Draw reliability and frontier where the campaign has them."""
+        found = {}
+        if self.bins:
+            found["reliability"] = reliability.draw_reliability(self.bins)
+        if self.config.sweeps:
+            found["frontier"] = draw_frontier(self.config, self.groups)
+        return found
 
 
 def judge(
@@ -53,81 +168,18 @@ def judge(
     Raises:
         CampaignError: the results cannot be written.
     """
-    rows = [store.rows[key] for key in keys if key in store.rows]
-    groups = summary.summarise(config, rows)
-    default = config.default
-    default_name = f"{default.law} / {default.estimator} on {default.plant}"
-    wanted = (default.law, default.estimator, default.plant)
-    failed, others = (
-        report.failures(
-            row
-            for row in rows
-            if ((row["law"], row["estimator"], row["plant"]) == wanted) is judged
-        )
-        for judged in (True, False)
-    )
-    missed = report.missed_lines(groups)
-    bars = sum(len(group.verdicts) for group in groups)
-    speeds = {
-        plant: summary.real_time_factor(row for row in rows if row["plant"] == plant)
-        for plant in config.plants
-    }
-    verdict = _verdict(bars, missed, default_name)
-    sure = reliability.reliability(rows)
-    speed = ", ".join(
-        f"{factor:.1f} x real time on {plant}"
-        for plant, factor in speeds.items()
-        if math.isfinite(factor)
-    )
+    results = Results(config, [store.rows[key] for key in keys if key in store.rows])
     try:
         store.write_table(keys)
-        store.write_text(
-            "summary.json",
-            _json(config, groups, speeds, elapsed, bars - len(missed), bars),
-        )
-        store.write_text(
-            "summary.md", _markdown(config, rows, groups, sure, verdict, missed, speed)
-        )
-        store.write_text(
-            "failures.md", report.markdown_failures(failed, others, default_name)
-        )
-        figures = {}
-        for plant in dict.fromkeys(group.plant for group in groups):
-            name = (
-                "figure"
-                if plant == default.plant or len(config.plants) == 1
-                else f"figure-{plant}"
-            )
-            figures[name] = draw_summary(config, groups, plant)
-        others_drawn = (
-            {"reliability": reliability.draw_reliability(sure)} if sure else {}
-        )
-        others_drawn |= (
-            {"frontier": draw_frontier(config, groups)} if config.sweeps else {}
-        )
-        for name, figure in (figures | others_drawn).items():
-            for kind in ("png", "svg"):
-                figure.savefig(store.folder / f"{name}.{kind}", dpi=RESOLUTION)
-        page = _page(
-            config,
-            rows,
-            groups,
-            sure,
-            (verdict, missed),
-            failed,
-            speed,
-            list(figures.values()),
-            others_drawn,
-        )
-        store.write_text(PAGE_FILE, page)
+        _write(results, store, elapsed)
     except OSError as error:
         raise CampaignError(
             f"cannot write the results into {store.folder}: {error.strerror or error}"
         ) from error
-    console.print(
-        report.terminal_table(groups, f"{len(rows)} rows, seed {config.seed}")
-    )
-    console.print(f"one core runs {speed}")
+    title = f"{len(results.rows)} rows, seed {config.seed}"
+    console.print(report.terminal_table(results.groups, title))
+    console.print(f"one core runs {results.speed}")
+    failed = results.failures(of_default=True)
     for cells in failed[:SHOWN_FAILURES]:
         console.print(
             f"  {cells[0]}  {cells[1]}, point {cells[4]} ({cells[5]} mm), s after"
@@ -136,79 +188,61 @@ def judge(
         )
     if len(failed) > SHOWN_FAILURES:
         console.print(f"  and {len(failed) - SHOWN_FAILURES} more in failures.md")
-    for line in [verdict, *missed]:
+    for line in [results.verdict, *results.missed]:
         console.print(line, soft_wrap=True)
     console.print(
         f"{store.folder}: rows.parquet summary.md summary.json failures.md figure.png"
         f" {PAGE_FILE}",
         soft_wrap=True,
     )
-    return EXIT_FAILED if missed else 0
+    return EXIT_FAILED if results.missed else 0
 
 
-def _verdict(bars: int, missed: Sequence[str], default_name: str) -> str:
-    if not bars:
-        return (
-            f"no bars: none of the rows is of {default_name}, or the cases ask for"
-            " nothing"
-        )
-    held = "all" if not missed else f"{bars - len(missed)} of"
-    return f"{held} {bars} bars hold"
+def _write(results: Results, store: Store, elapsed: float) -> None:
+    """Write texts, figures and page into the folder."""
+    store.write_text("summary.json", _json(results, elapsed))
+    store.write_text("summary.md", _markdown(results))
+    failed, others = (results.failures(of_default=of) for of in (True, False))
+    store.write_text(
+        "failures.md", report.markdown_failures(failed, others, results.default_name)
+    )
+    figures, further = results.figures(), results.further_figures()
+    for name, figure in (figures | further).items():
+        for kind in ("png", "svg"):
+            figure.savefig(store.folder / f"{name}.{kind}", dpi=RESOLUTION)
+    store.write_text(PAGE_FILE, _page(results, failed, figures, further))
 
 
-def _markdown(
-    config: CampaignConfig,
-    rows: Sequence[Row],
-    groups: Sequence[summary.Group],
-    sure: Reliability,
-    verdict: str,
-    missed: Sequence[str],
-    speed: str,
-) -> str:
+def _markdown(results: Results) -> str:
     lines = [
-        _what(config, rows),
+        results.extent,
         "",
-        report.markdown_table(groups),
+        report.markdown_table(results.groups),
         "",
         report.LEGEND + ".",
         "",
-        report.reliability_table(sure),
+        report.reliability_table(results.bins),
         "",
-        *(reliability.in_words(estimator, bins) for estimator, bins in sure.items()),
+        *results.confidence_sentences,
         "",
-        f"{verdict}; one core runs {speed}.",
-        *(f"- {line}" for line in missed),
+        f"{results.verdict}; one core runs {results.speed}.",
+        *(f"- {line}" for line in results.missed),
     ]
     return "\n".join(lines) + "\n"
 
 
-def _what(config: CampaignConfig, rows: Sequence[Row]) -> str:
-    return (
-        f"{counted(len(rows), 'row')}: {counted(config.points.count, 'crossing point')}"
-        f" ({config.points.folded} folded),"
-        f" {counted(len(config.directions), 'direction')},"
-        f" {counted(config.seeds, 'seed')} from {config.seed}; one way lasts"
-        f" {config.duration:g} s unless the case says otherwise."
-    )
-
-
 def _page(
-    config: CampaignConfig,
-    rows: Sequence[Row],
-    groups: Sequence[summary.Group],
-    sure: Reliability,
-    judged: tuple[str, Sequence[str]],
+    results: Results,
     failed: Sequence[Sequence[str]],
-    speed: str,
-    figures: Sequence[Figure],
-    others: dict[str, Figure],
+    figures: dict[str, Figure],
+    further: dict[str, Figure],
 ) -> str:
     """Put all of it on one page that opens offline."""
-    verdict, missed = judged
+    config, groups, verdict = results.config, results.groups, results.verdict
     many = len({group.plant for group in groups}) > 1
-    columns = [
-        Column(name, text=index < 2) for index, name in enumerate(report.HEADINGS)
-    ]
+    last = len(report.HEADINGS) - 1
+    judged = "bad" if results.missed else "good"
+    drawn = {name: svg(figure) for name, figure in further.items()}
     shown = failed[:LISTED_FAILURES]
     return render(
         "campaign.html",
@@ -218,31 +252,28 @@ def _page(
             f"{config.default.law} / {config.default.estimator}:"
             f" {counted(len(config.cases), 'case')}"
         ),
-        subheading=_what(config, rows),
+        subheading=results.extent,
         verdict={
-            "kind": "" if verdict.startswith("no") else "bad" if missed else "good",
+            "kind": judged if results.bars else "",
             "word": f"{verdict[:1].upper()}{verdict[1:]}.",
         },
-        missed=missed,
+        missed=results.missed,
         groups=(
-            columns,
+            [Column(name, text=i < 2) for i, name in enumerate(report.HEADINGS)],
             [
                 [
-                    Cell(cell, bool(group.missed) and index == len(columns) - 1)
-                    for index, cell in enumerate(report.cells(group, many))
+                    Cell(cell, bool(group.missed) and i == last)
+                    for i, cell in enumerate(report.cells(group, many))
                 ]
                 for group in groups
             ],
         ),
         legend=report.LEGEND,
-        frontier=svg(others["frontier"]) if "frontier" in others else "",
-        drawn=[svg(figure) for figure in figures],
+        frontier=drawn.get("frontier", ""),
+        drawn=[svg(figure) for figure in figures.values()],
         reliability={
-            "sentences": [
-                reliability.in_words(estimator, bins)
-                for estimator, bins in sure.items()
-            ],
-            "drawn": svg(others["reliability"]) if "reliability" in others else "",
+            "sentences": results.confidence_sentences,
+            "drawn": drawn.get("reliability", ""),
             "legend": (
                 "Clear of the locus, of the runs that stated a confidence of the range"
                 " (grey, its mean marked), for how much of the time they were right;"
@@ -260,29 +291,22 @@ def _page(
             else ""
         ),
         footer=(
-            f"Made by dextar campaign; one core runs {speed}. All numbers stand in"
-            " summary.json and rows.parquet beside it."
+            f"Made by dextar campaign; one core runs {results.speed}. All numbers stand"
+            " in summary.json and rows.parquet beside it."
         ),
     )
 
 
-def _json(
-    config: CampaignConfig,
-    groups: Sequence[summary.Group],
-    speeds: dict[str, float],
-    elapsed: float,
-    held: int,
-    bars: int,
-) -> str:
+def _json(results: Results, elapsed: float) -> str:
+    config = results.config
     content: dict[str, object] = {
         "version": design.version(),
         "seed": config.seed,
         "default": config.default.model_dump(),
-        "bars": bars,
-        "bars_held": held,
+        "bars": results.bars,
+        "bars_held": results.bars - len(results.missed),
         "real_time_factor_per_core": {
-            plant: factor if math.isfinite(factor) else None
-            for plant, factor in speeds.items()
+            plant: results.speeds.get(plant) for plant in config.plants
         },
         "elapsed": elapsed,
         "machine": {
@@ -290,6 +314,6 @@ def _json(
             "platform": platform.platform(),
             "python": platform.python_version(),
         },
-        "groups": [summary.as_json(group) for group in groups],
+        "groups": [summary.as_json(group) for group in results.groups],
     }
     return json.dumps(content, indent=1, allow_nan=False) + "\n"

@@ -118,8 +118,8 @@ class Pool:
         """Give each batch with its rows, in the order in which they are done.
 
         The trials of a batch whose worker died run again one by one, no two of them at
-            the same time: what
-        dies then, ``ATTEMPTS`` times, has itself to blame and gets a row that says so.
+        the same time: what dies then, ``ATTEMPTS`` times, has itself to blame and gets
+        a row that says so.
 
         Raises:
             CampaignError: the scheduler is gone, or nothing but deaths comes back.
@@ -223,9 +223,8 @@ def _uninterrupted() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    hang_up = signal.signal(
-        signal.SIGHUP, signal.SIG_IGN
-    )  # a closed terminal must not end the tracker before the workers
+    # a closed terminal must not end the tracker before the workers
+    hang_up = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     resource_tracker.ensure_running()
     signal.signal(signal.SIGHUP, hang_up)
     came: list[int] = []

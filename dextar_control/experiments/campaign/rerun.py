@@ -11,11 +11,8 @@ from dextar_control.experiments.campaign.run import Campaign
 from dextar_control.experiments.campaign.store import read_rows
 from dextar_control.experiments.campaign.worker import run_trials
 
-TIMES = {
-    "wall_time",
-    "cpu_time",
-    "planning_time",
-}  # results that differ from run to run
+# results that differ from run to run
+TIMES = {"wall_time", "cpu_time", "planning_time"}
 
 
 def rerun(campaign: Campaign, folder: Path, key: str, console: Terminal) -> int:

@@ -87,7 +87,7 @@ def resolve(name: str) -> RigMaker:
     """Import what ``module:Class`` names.
 
     Raises:
-        ParameterError: there is no such module or attribute.
+        ParameterError: there is none.
     """
     ours: dict[str, RigMaker] = {}
     with _quiet():

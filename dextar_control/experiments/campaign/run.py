@@ -152,9 +152,8 @@ def run_campaign(
                 time.perf_counter() - begin,
             )
         except KeyboardInterrupt as interrupt:
-            there = len(
-                campaign.trials.keys() & read_rows(folder).keys()
-            )  # also what was written as the signal came
+            # also what was written as the signal came
+            there = len(campaign.trials.keys() & read_rows(folder).keys())
             console.print(
                 f"interrupted; {there} of {len(campaign.trials)} rows are kept in"
                 f" {folder}. To go on:\n  {shlex.join(['dextar', *sys.argv[1:]])}",

@@ -17,7 +17,7 @@ from dextar_control.control.loop import ControlLoop
 from dextar_control.experiments.campaign.rig import RigInterface
 from dextar_control.identification.calibration import calibrate_recorded
 from dextar_control.identification.identification import identify_recorded
-from dextar_control.identification.recorded import RecordedMotion
+from dextar_control.identification.recorded import MeasuredMotion
 from dextar_control.planning.certificate import Plan
 from dextar_control.planning.excitation import plan_excitation
 from dextar_control.planning.tour import plan_tour
@@ -29,7 +29,7 @@ EXCITE, DWELL = 20.0, 0.2  # s
 
 def record_motion(
     robot: RobotParameters, plan: Plan, rig: RigInterface
-) -> RecordedMotion:
+) -> MeasuredMotion:
     """Run a plan in a plain loop, and return what its bag would tell.
 
     Args:
@@ -65,7 +65,7 @@ def record_motion(
     finally:
         rig.close()
     poses = (np.array(seen), np.array(places)) if seen else None
-    return RecordedMotion(
+    return MeasuredMotion(
         Path("recorded"),
         robot.working_mode,
         np.array(time),
@@ -114,7 +114,7 @@ def _calibrated(
     and both are taken together; where it told all but the difference of the distal
     lengths another one is recorded with what it told.
     """
-    told, motions = False, list[RecordedMotion]()
+    told, motions = False, list[MeasuredMotion]()
     for _ in range(TOURS):
         motions.append(
             record_motion(robot, _tour(robot, CROSSINGS * (-1) ** len(motions)), rig())

@@ -37,14 +37,8 @@ if TYPE_CHECKING:
     from dextar_control.experiments.campaign.design import CrossingPoint, Trial
 
 MAX_ERROR, END_ERROR = 5e-3, 1e-3  # m, true
-CONFIDENCE_BINS = (
-    0.5,
-    0.6,
-    0.8,
-    0.9,
-    0.99,
-    0.999,
-)  # confidences from which the bins of the reliability table begin
+# confidences from which the bins of the reliability table begin
+CONFIDENCE_BINS = (0.5, 0.6, 0.8, 0.9, 0.99, 0.999)
 NEAR = 0.1  # |s| that counts as near the locus
 CLEAR = 0.2  # |s| from which on the test of the side runs
 SETTLE = 0.2  # s of holding after the trip
@@ -382,9 +376,8 @@ def _strike_of(
     """Return what hits the robot at the first crossing, if anything does.
 
     A push acts along t_s, or across it. A bounce turns the motion round: of the planned
-        velocity the part along t_s, which the
-    joints do not show, where the distal links are stretched; where they are folded, and
-    t_s leads along the locus, all of it.
+    velocity the part along t_s, which the joints do not show, where the distal links
+    are stretched; where they are folded, and t_s leads along the locus, all of it.
     """
     crossing = float(plan.certificate.crossing_times[0])
     if perturbation.get("push"):
@@ -657,9 +650,8 @@ def _bounce(
             "reason": "the blow did not turn the robot round",
             "success": not (missed or false),
         }
-    named = called is Verdict.BOUNCED or (
-        "bounced" in loop.reason and not missed
-    )  # it may have coasted across since
+    # it may have coasted across since
+    named = called is Verdict.BOUNCED or ("bounced" in loop.reason and not missed)
     stopped = np.flatnonzero(log.limp)
     struck = int(np.searchsorted(log.time, log.strike))
     after = np.abs(log.tau[struck:]).max(axis=1)
@@ -678,9 +670,8 @@ def _bounce(
         late = moment + round(BRAKING / (log.time[1] - log.time[0]))
         gone = (np.abs(log.tau[late:]).max(axis=1) < GONE) | (log.power[late:] <= 0.0)
         row["release_delay"] = float(log.time[moment] - log.strike)
-        if (
-            called is Verdict.BOUNCED
-        ):  # the torque's watch often lets go before the side is sure
+        # the torque's watch often lets go before the side is sure
+        if called is Verdict.BOUNCED:
             row["recognition_delay"] = loop.passed[0].time - log.strike
         row["safe_after"] = bool(gone.all())
     return row

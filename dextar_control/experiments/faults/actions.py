@@ -51,10 +51,8 @@ END_PATIENCE = 20.0  # s until a node that was sent SIGTERM has ended
 SECOND_TORQUE = (0.05, -0.05)  # N m, of the second commander
 SECOND_LASTS = 0.5  # s
 MOST_PENDING = 40  # services asked and not answered
-GAINS = {
-    "natural_frequency": (45.0, 55.0),
-    "damping_ratio": (0.9, 1.1),
-}  # that are set live
+# that are set live
+GAINS = {"natural_frequency": (45.0, 55.0), "damping_ratio": (0.9, 1.1)}
 REFUSED = (
     {"natural_frequency": 1e9},
     {"damping_ratio": -1.0},
@@ -62,7 +60,6 @@ REFUSED = (
     {"task__sample_period": 0.002},
 )
 CURVE = 0.12  # s of torque after a commander's last word that are kept for the figure
-KEEP = 5  # each so manyth state of it
 
 # Arguments: size, folder of the small disk, where the bag goes in the end, then the
 # recorder's command.
@@ -98,11 +95,14 @@ class Action:
         grace: after the instant of judgement, within which a stop still counts as this
             fault's, ns.
         refused: what was asked for was refused.
+        took_effect: after the release, whether anything was done that somebody must
+            have noticed.
     """
 
     single = False
     grace = 0
     refused = False
+    took_effect = True
 
     def __init__(self, case: FaultCase, stack: Stack) -> None:
         self.case, self.stack = case, stack
@@ -127,10 +127,6 @@ class Action:
 
     def release(self) -> None:
         """Do no more faults."""
-
-    def took_effect(self) -> bool:
-        """Tell whether anything was done that somebody must have noticed."""
-        return True
 
     def restore(self) -> None:
         """Repair what ``Stack.recover`` does not."""
@@ -180,18 +176,13 @@ class LinkAction(Action):
                 )
 
     def release(self) -> None:
-        """Make the links whole."""
+        """Make the links whole; the fault took effect if it touched a message."""
         for link in self._links:
             link.configure(Transport(), 0)
             link.clear_windows()
-
-    def took_effect(self) -> bool:
-        """Tell whether a message was touched."""
         transport = Transport(**self.case.transport or {})
-        if transport.delay or transport.jitter:
-            return True
         touched = ("dropped", "duplicated", "held_back", "lost_in_outage", "shaped")
-        return any(
+        self.took_effect = bool(transport.delay or transport.jitter) or any(
             link.counts[kind] > before[kind]
             for link, before in zip(self._links, self._before, strict=True)
             for kind in touched
@@ -209,6 +200,7 @@ class KillAction(Action):
         assert self.case.kill is not None
         self._node, self._at, self._killed = self.case.kill.node, times[0], 0
         self._bag = self.stack.current_bag()
+        self.took_effect = False
 
     @property
     def done(self) -> bool:
@@ -220,16 +212,13 @@ class KillAction(Action):
         assert self.case.kill is not None
         if not self._killed and now >= self._at:
             self._killed = now
+            self.took_effect = True
             self.stack.processes.send(self._node, signal.Signals[self.case.kill.signal])
         return (
             Trouble(self._killed, Outcome.NO_TORQUE)
             if self._node == "controller" and self.done
             else None
         )
-
-    def took_effect(self) -> bool:
-        """Tell whether the node was killed."""
-        return bool(self._killed)
 
     def restore(self) -> None:
         """Start the node again."""
@@ -314,7 +303,8 @@ class CommanderAction(Action):
         return None
 
     def release(self) -> None:
-        """Leave the topic."""
+        """Leave the topic; the fault took effect if anything was commanded."""
+        self.took_effect = bool(self._begun)
         monitor = self.stack.monitor
         if self._publisher is not None:
             monitor.destroy_publisher(self._publisher)
@@ -322,10 +312,6 @@ class CommanderAction(Action):
             monitor.until(
                 lambda: monitor.count_publishers(JOINT_COMMANDS.name) <= 1, END_PATIENCE
             )
-
-    def took_effect(self) -> bool:
-        """Tell whether it commanded."""
-        return bool(self._begun)
 
 
 class FloodAction(Action):
@@ -384,8 +370,9 @@ class FloodAction(Action):
         self._pending = left
 
     def release(self) -> None:
-        """Wait for the answers still to come."""
+        """Wait for the answers; the fault took effect if anything was asked."""
         self._begun = 0.0
+        self.took_effect = self._sent > 0
         self.stack.monitor.until(
             lambda: all(future.done() for _, future in self._pending), END_PATIENCE
         )
@@ -394,10 +381,6 @@ class FloodAction(Action):
         self.stack.answers.append(f"{self._answered} of {self._sent} calls answered")
         if self._answered == self._sent:
             self.stack.answers.append("every call was answered")
-
-    def took_effect(self) -> bool:
-        """Tell whether anything was asked."""
-        return self._sent > 0
 
 
 class ParameterAction(Action):
@@ -512,11 +495,7 @@ class DiskAction(Action):
         """Wait until the recorder has filled the disk, also after a robot that stopped
         early.
         """
-        self.stack.monitor.until(lambda: self.done, END_PATIENCE)
-
-    def took_effect(self) -> bool:
-        """Tell whether the recorder has given up."""
-        return self.done
+        self.took_effect = self.stack.monitor.until(lambda: self.done, END_PATIENCE)
 
     def restore(self) -> None:
         """Start a recorder with room."""
@@ -538,17 +517,13 @@ class NetworkAction(Action):
         self._counts = self._ask(self.case.network or {})
 
     def release(self) -> None:
-        """Make the link whole."""
+        """Make the link whole; the fault took effect if it touched a frame."""
         after = self._ask({})
-        self._took = any(
+        late = bool({"delay", "jitter"} & set(self.case.network or {}))
+        self.took_effect = late or any(
             after[key] > self._counts[key]
             for key in ("dropped", "duplicated", "reordered")
         )
-        self._took |= bool({"delay", "jitter"} & set(self.case.network or {}))
-
-    def took_effect(self) -> bool:
-        """Tell whether a frame was touched."""
-        return self._took
 
     @staticmethod
     def _ask(quality: dict[str, float]) -> dict[str, int]:

@@ -50,11 +50,10 @@ def _read(path: Path) -> int:
     """
     messages = 0
     with path.open("rb") as file:
+        # cut off, or broken in any way: how far it was read is what counts
         try:
             for _ in NonSeekingReader(file).iter_messages(log_time_order=False):
                 messages += 1
-        except (
-            Exception
-        ):  # cut off, or broken in any way: how far it was read is what counts
+        except Exception:
             pass
     return messages

@@ -50,6 +50,7 @@ class LinkQuality:
                 )
 
 
+DIRECTIONS = "a_to_b", "b_to_a"
 TIMES = ("delay", "jitter", "hold")
 LONGEST = 10.0  # s
 

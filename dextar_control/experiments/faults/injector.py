@@ -39,12 +39,13 @@ REMAPPINGS = (
     f"{JOINT_STATES.name}:={RIG_STATES}",
     f"{JOINT_COMMANDS.name}:={RIG_COMMANDS}",
 )
+# states that a controller answers
 ANSWERED = (
     None,
     MessageShape.STEP,
     MessageShape.STAMP_FUTURE,
     MessageShape.STAMP_EARLY,
-)  # states that a controller answers
+)
 PATIENCE = 2.0  # s on the steady clock for an answer of a controller that answers
 # s for one of a controller that did not answer last, or to a state that need not be
 # answered
@@ -167,9 +168,8 @@ class Injector:
     def _on_state(self, raw: bytes) -> None:
         stamp = stamp_of(raw)
         self._arrived = time.monotonic_ns()
-        if (
-            stamp <= self.now
-        ):  # the rig repeats itself: what answered it was lost or has not come
+        # the rig repeats itself: what answered it was lost or has not come
+        if stamp <= self.now:
             if self._lockstep and self._waiting is None:
                 self._acknowledge(stamp)
             return

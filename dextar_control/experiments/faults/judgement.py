@@ -29,12 +29,10 @@ NANOSECONDS = 1e9
 class Outcome(str, Enum):
     """What became of one faulted crossing."""
 
-    CROSSED = (  # the true robot is on the planned side, and the controller goes on
-        "crossed"
-    )
-    REFUSED = (  # what was asked for was refused, and the robot crossed all the same
-        "refused, crossed"
-    )
+    # the true robot is on the planned side, and the controller goes on
+    CROSSED = "crossed"
+    # what was asked for was refused, and the robot crossed all the same
+    REFUSED = "refused, crossed"
     SAFE_STOP = "safe stop"
     FAULT = "fault"
     NO_TORQUE = "no torque"  # the commander is gone, and the robot without torque
@@ -138,9 +136,8 @@ def torque_after_death(
     )
     place = np.searchsorted(usable, evidence.stamps, side="right") - 1
     newest = np.where(place >= 0, usable[place] if len(usable) else 0, -(2**62))
-    age = (
-        evidence.stamps - evidence.period - newest
-    )  # when the torque of this state began to act
+    # when the torque of this state began to act
+    age = evidence.stamps - evidence.period - newest
     dead = age >= dead_after * NANOSECONDS
     bad = dead & (np.abs(evidence.torque).max(axis=1, initial=0.0) > NO_TORQUE)
     lines = [

@@ -30,9 +30,8 @@ class MessageShape(Enum):
     SIZES = "sizes"  # one number for two names
     STAMP_BACK = "stamp_back"  # by STAMP_SHIFT
     STAMP_FUTURE = "stamp_future"  # by STAMP_SHIFT
-    STAMP_EARLY = (  # by STAMP_EARLINESS: hardly after that of the state before
-        "stamp_early"
-    )
+    # by STAMP_EARLINESS: hardly after that of the state before
+    STAMP_EARLY = "stamp_early"
     STAMP_FROZEN = "stamp_frozen"  # that of the window's first message
     STEP = "step"  # of the first joint's number, by ENCODER_STEP
 
@@ -166,10 +165,8 @@ class MessageLink(Generic[Item]):
         lost = draw() < transport.drop
         twice = draw() < transport.duplicate
         held = draw() < transport.reorder
-        late, back = (
-            draw(),
-            draw(),
-        )  # always five draws: the fate of the n-th message is its own
+        # always five draws: the fate of the n-th message is its own
+        late, back = draw(), draw()
         counts["sent"] += 1
         window = next(
             (window for window in self._windows if window.begin <= time < window.end),

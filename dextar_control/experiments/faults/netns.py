@@ -16,7 +16,7 @@ import select
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from types import TracebackType
 from typing import Literal
@@ -50,10 +50,7 @@ class FaultyLink:
 
     Args:
         seed: of the faults; the n-th frame of a direction has the same fate each time.
-        mtu: of the link, bytes. A larger DDS message travels in pieces and is lost with
-            any of them.
-        b_to_a: quality of the way back; None is the same as the way there.
-        quality: fields of ``LinkQuality`` for the way from ``a`` to ``b``.
+        quality: fields of ``LinkQuality`` for both ways.
 
     Raises:
         LinkError: a quality out of its limits; on entering: no root, or a tool is
@@ -64,17 +61,10 @@ class FaultyLink:
         self,
         *,
         seed: int = 0,
-        mtu: int = MTU,
-        b_to_a: LinkQuality | None = None,
         **quality: float,
     ) -> None:
-        there = LinkQuality(**quality)
-        self.qualities = {
-            "a_to_b": there,
-            "b_to_a": there if b_to_a is None else b_to_a,
-        }
+        self._quality = LinkQuality(**quality)
         self._seed = seed
-        self._mtu = mtu
         self._holders: dict[str, subprocess.Popen[str]] = {}
         self._relay: subprocess.Popen[str] | None = None
 
@@ -112,8 +102,8 @@ class FaultyLink:
         for side in SIDES:
             self._configure(
                 "relay",
-                f"link add dev end_{side} mtu {self._mtu} type veth peer name"
-                f" {INTERFACE} mtu {self._mtu} address {HARDWARE[side]} netns"
+                f"link add dev end_{side} mtu {MTU} type veth peer name"
+                f" {INTERFACE} mtu {MTU} address {HARDWARE[side]} netns"
                 f" {self._holders[side].pid}\nlink set dev end_{side} up",
             )
             other = SIDES[1 - SIDES.index(side)]
@@ -127,9 +117,7 @@ class FaultyLink:
         settings = {
             "interfaces": [f"end_{side}" for side in SIDES],
             "ends": [(self._holders[side].pid, INTERFACE) for side in SIDES],
-            "qualities": {
-                name: asdict(quality) for name, quality in self.qualities.items()
-            },
+            "quality": asdict(self._quality),
             "seed": self._seed,
         }
         module = [
@@ -186,36 +174,14 @@ class FaultyLink:
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
         }
 
-    def set_quality(
-        self, direction: Literal["a_to_b", "b_to_a"], **quality: float
-    ) -> None:
-        """Change one direction from the next frame on, e.g. ``loss=1.0`` for an outage;
-        fields not named stay.
+    def set_quality(self, **quality: float) -> dict[str, LinkStatistics]:
+        """Give both ways a quality from the next frame on, e.g. ``loss=1.0`` for an
+        outage and nothing for a whole link; return the counts so far, by direction.
 
         Raises:
-            LinkError: a direction that is none, a quality out of its limits, or the
-                relay is gone.
+            LinkError: the quality is out of its limits, or the relay is gone.
         """
-        if direction not in self.qualities:
-            raise LinkError(
-                f"direction '{direction}'; it must be one of"
-                f" {', '.join(self.qualities)}"
-            )
-        new = LinkQuality(**(asdict(self.qualities[direction]) | quality))
-        self._ask({direction: asdict(new)})
-        self.qualities[direction] = new
-
-    @contextlib.contextmanager
-    def outage(self) -> Iterator[None]:
-        """Let no frame pass in either direction while the context lasts."""
-        before = dict(self.qualities)
-        try:
-            for direction in before:
-                self.set_quality(direction, loss=1.0)  # type: ignore[arg-type]
-            yield
-        finally:
-            for direction, quality in before.items():
-                self.set_quality(direction, **asdict(quality))  # type: ignore[arg-type]
+        return self._ask(asdict(LinkQuality(**quality)))
 
     def statistics(self) -> dict[str, LinkStatistics]:
         """Return the counts of the frames so far, by direction.
@@ -223,15 +189,13 @@ class FaultyLink:
         Raises:
             LinkError: the relay is gone.
         """
-        return {
-            name: LinkStatistics(**counts) for name, counts in self._ask({}).items()
-        }
+        return self._ask({})
 
-    def _ask(self, request: Mapping[str, object]) -> dict[str, dict[str, int]]:
+    def _ask(self, quality: Mapping[str, float]) -> dict[str, LinkStatistics]:
         relay = self._relay
         if relay is None or relay.poll() is not None or relay.stdin is None:
             raise LinkError("the relay between the namespaces is not running")
-        relay.stdin.write(json.dumps(request) + "\n")
+        relay.stdin.write(json.dumps(quality) + "\n")
         relay.stdin.flush()
         answer = _answer(relay)
         if not answer:
@@ -239,8 +203,10 @@ class FaultyLink:
                 "the relay between the namespaces does not answer:"
                 f" {_last_words(relay)}"
             )
-        counts: dict[str, dict[str, int]] = json.loads(answer)
-        return counts
+        return {
+            name: LinkStatistics(**counts)
+            for name, counts in json.loads(answer).items()
+        }
 
     def helper_pids(self) -> list[int]:
         """Return the process ids of the relay and of what holds the namespaces."""

@@ -21,22 +21,23 @@ import sys
 import time
 from pathlib import Path
 
-from dextar_control.experiments.faults.frames import FrameSchedule, LinkQuality
+from dextar_control.experiments.faults.frames import (
+    DIRECTIONS,
+    FrameSchedule,
+    LinkQuality,
+)
 
-DIRECTIONS = ("a_to_b", "b_to_a")
 ETH_P_ALL = 0x0003  # of linux/if_ether.h
-SOL_PACKET, PACKET_STATISTICS, PACKET_IGNORE_OUTGOING = (
-    263,
-    6,
-    23,
-)  # of linux/if_packet.h
+# of linux/if_packet.h
+SOL_PACKET, PACKET_STATISTICS, PACKET_IGNORE_OUTGOING = 263, 6, 23
 SO_RCVBUFFORCE = 33
 SIOCETHTOOL = 0x8946
+# commands of ethtool (ETHTOOL_S...)
 OFFLOADS = {
     "transmit checksums": 0x17,
     "TCP segmentation": 0x1F,
     "generic segmentation": 0x24,
-}  # ETHTOOL_S...
+}
 CLONE_NEWNET = 0x40000000
 BUFFER = 16 << 20  # bytes the kernel keeps while the relay sleeps
 BATCH = 64  # frames read before those due are sent
@@ -78,12 +79,11 @@ class Relay:
     """Carries frames between two interfaces, through a queue each way."""
 
     def __init__(
-        self, interfaces: tuple[str, str], qualities: dict[str, LinkQuality], seed: int
+        self, interfaces: tuple[str, str], quality: LinkQuality, seed: int
     ) -> None:
         self._sockets = [_packet_socket(interface) for interface in interfaces]
         self._schedules = {
-            name: FrameSchedule(qualities[name], f"{seed} {name}")
-            for name in DIRECTIONS
+            name: FrameSchedule(quality, f"{seed} {name}") for name in DIRECTIONS
         }
         self._ways = [
             (self._sockets[0], self._sockets[1], self._schedules["a_to_b"]),
@@ -121,11 +121,10 @@ class Relay:
                 except OSError:  # the far end is down, full, or its frames are smaller
                     schedule.statistics.refused += 1
 
-    def _answer(
-        self, request: dict[str, dict[str, float]]
-    ) -> dict[str, dict[str, int]]:
-        for direction, quality in request.items():
-            self._schedules[direction].quality = LinkQuality(**quality)
+    def _answer(self, quality: dict[str, float]) -> dict[str, dict[str, int]]:
+        if quality:
+            for schedule in self._schedules.values():
+                schedule.quality = LinkQuality(**quality)
         for (
             source,
             _,
@@ -170,10 +169,8 @@ def main() -> int:
     settings = parser.parse_args().settings
     for pid, interface in settings["ends"]:
         switch_offloads_off(pid, interface)
-    qualities = {
-        name: LinkQuality(**settings["qualities"][name]) for name in DIRECTIONS
-    }
-    relay = Relay(tuple(settings["interfaces"]), qualities, settings["seed"])
+    quality = LinkQuality(**settings["quality"])
+    relay = Relay(tuple(settings["interfaces"]), quality, settings["seed"])
     print("ready", flush=True)
     relay.run(sys.stdin.fileno())
     return 0

@@ -17,7 +17,6 @@ from collections.abc import Generator, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Literal
 
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TimeElapsedColumn
 
@@ -209,11 +208,7 @@ class SessionRunner(threading.Thread):
 
 def _apply(link: FaultyLink, quality: dict[str, float]) -> dict[str, int]:
     """Give both directions a quality; return the frames so far, both together."""
-    clean = {"loss": 0.0, "delay": 0.0, "jitter": 0.0, "reorder": 0.0, "duplicate": 0.0}
-    directions: tuple[Literal["a_to_b", "b_to_a"], ...] = ("a_to_b", "b_to_a")
-    for direction in directions:
-        link.set_quality(direction, **(clean | quality))
-    both = [counts.to_dict() for counts in link.statistics().values()]
+    both = [counts.to_dict() for counts in link.set_quality(**quality).values()]
     return {key: sum(counts[key] for counts in both) for key in both[0]}
 
 

@@ -18,6 +18,7 @@ import sys
 import time
 import traceback
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from std_srvs.srv import Trigger
@@ -37,12 +38,15 @@ from dextar_control.experiments.faults.judgement import (
     Evidence,
     NodeReports,
     Outcome,
+    Stamps,
     Tally,
 )
+from dextar_control.experiments.faults.monitor import KEPT_COMMANDS
 from dextar_control.experiments.faults.stack import SessionRequest, Stack
 from dextar_control.experiments.processes import MODULES, NodesError
 from dextar_control.nodekit.cdr import NANOSECONDS
 from dextar_control.planning.planner import Plan, plan_return_trip
+from dextar_control.symbols.types import Array
 
 TRIP_PATIENCE = 60.0  # s beyond twenty times the trip's duration
 REPORT_PATIENCE = 4.0  # s: every node speaks at least each second
@@ -58,6 +62,45 @@ NEAR = 0.4  # |s| of the reference below which a fault is at the locus
 SETTLE = 0.3  # s of the rig's time that a robot without control is watched
 FIRST_FAULT = 0.02  # s after the start before which no window opens
 PHASE = CRITERION_NAMES.index("phase")
+
+
+class Fault(NamedTuple):
+    """A faulted crossing of a trip."""
+
+    number: int  # among the planned crossings, from 0
+    crossing: int  # when it is planned, ns of the rig's clock
+    begin: int  # when the fault begins, ns of the rig's clock
+
+
+class Trip(NamedTuple):
+    """A trajectory under way.
+
+    Attributes:
+        plan: of it.
+        start: stamp of its first moving state, ns.
+        approach: time that the way to the plan's start takes before the plan, s.
+    """
+
+    plan: Plan
+    start: int
+    approach: float
+
+    def stamp(self, time: float) -> int:
+        """Return the stamp, ns, of a time of the plan, s."""
+        return self.start + round(NANOSECONDS * (time + self.approach))
+
+    def times(self, stamps: Stamps) -> Array:
+        """Return the times of the plan, (n,), s, of stamps, (n,), ns."""
+        return (stamps - self.start) / NANOSECONDS - self.approach
+
+    def faults(self, indices: list[int], offsets: list[float]) -> list[Fault]:
+        """Place faults at crossings with these indices, so far from each, s."""
+        found, first = [], self.start + round(NANOSECONDS * FIRST_FAULT)
+        for index, offset in zip(indices, offsets, strict=True):
+            crossing = self.stamp(self.plan.certificate.crossing_times[index])
+            begin = max(crossing + round(NANOSECONDS * offset), first)
+            found.append(Fault(index, crossing, begin))
+        return found
 
 
 class Session(Stack):
@@ -150,63 +193,32 @@ class Session(Stack):
         monitor.forget()
         self.answers = []
         before = {node: dict(values) for node, values in monitor.status.items()}
-        planned = plan.certificate.crossing_times
-        faulted = list(range(len(planned)))
+        faulted = list(range(len(plan.certificate.crossing_times)))
         if trips == 1 and case.kind != "transport" and self.random.random() < 0.5:
             faulted = faulted[1:]  # the fault meets the way back
-        faulted = faulted[:left] if action.single is False else faulted[:1]
+        faulted = faulted[:1] if action.single else faulted[:left]
         offsets = [self.random.uniform(-SPREAD, SPREAD) for _ in faulted]
         action.prepare(self.random)
-        start, shift = self._start(plan)
-        crossings = [
-            start + round(NANOSECONDS * (planned[index] + shift)) for index in faulted
-        ]
-        times = [
-            max(
-                at + round(NANOSECONDS * offset),
-                start + round(NANOSECONDS * FIRST_FAULT),
-            )
-            for at, offset in zip(crossings, offsets, strict=True)
-        ]
-        action.arm(times)
-        end = start + round(NANOSECONDS * (plan.certificate.duration + shift))
-        trouble = self._follow(action, end, plan.certificate.duration)
+        trip = self._start(plan)
+        faults = trip.faults(faulted, offsets)
+        action.arm([fault.begin for fault in faults])
+        trouble = self._follow(action, trip)
         action.release()
         self.linger(0.02)
-        until = (
-            monitor.now
-        )  # what is judged: a command may come to this reader later than to the drives
+        # what is judged: a command may come to this reader later than to the drives
+        until = monitor.now
         monitor.until(
             lambda: bool(monitor.at_rig.stamps) and monitor.at_rig.stamps[-1] >= until,
             CATCH_UP,
         )
-        took = action.took_effect()
+        took = action.took_effect
         ways = self._reports(case, before, took)
-        self._last_reason = (
-            self.monitor.get("controller", "reason") if trouble is not None else ""
-        )
+        self._last_reason = monitor.get("controller", "reason") if trouble else ""
         tally = Tally()
-        evidence, records = self._judge(
-            name,
-            case,
-            plan,
-            start,
-            shift,
-            faulted,
-            crossings,
-            times,
-            trouble,
-            action,
-            until,
-        )
-        if took and case.reported and not ways:
-            tally.count(
-                Check.UNREPORTED,
-                1,
-                [f"{case.title}: none of {', '.join(case.reported)} was seen"],
-            )
-        else:
-            tally.count(Check.UNREPORTED, int(took), [])
+        evidence, records = self._judge(name, action, trip, faults, trouble, until)
+        silent = took and case.reported and not ways
+        none = f"{case.title}: none of {', '.join(case.reported)} was seen"
+        tally.count(Check.UNREPORTED, int(took), [none] if silent else [])
         self._check(evidence, tally, action)
         if not took:
             records = []  # nothing was tried
@@ -216,7 +228,7 @@ class Session(Stack):
         action.extra(records, evidence)
         return records, tally
 
-    def _start(self, plan: Plan) -> tuple[int, float]:
+    def _start(self, plan: Plan) -> Trip:
         """Serve the plan, once more where the last trip left the robot off its start or
         its side unknown.
         """
@@ -227,15 +239,12 @@ class Session(Stack):
                 raise
             return self._serve(plan)
 
-    def _serve(self, plan: Plan) -> tuple[int, float]:
-        """Serve the plan; return the stamp of its start, ns, and the time that the way
-        to the start takes before it, s.
-        """
+    def _serve(self, plan: Plan) -> Trip:
+        """Serve the plan; return its trip once it is under way."""
         monitor = self.monitor
         refused = monitor.get("controller", "trajectory")
-        for _ in range(
-            SERVE_ATTEMPTS
-        ):  # a busy machine keeps the controller's words from the server
+        # a busy machine keeps the controller's words from the server
+        for _ in range(SERVE_ATTEMPTS):
             answer = monitor.call(Trigger, "trajectory_server/start")
             if answer.success:
                 break
@@ -264,18 +273,20 @@ class Session(Stack):
         start = moving()
         assert start is not None
         duration = plan.certificate.duration
+        # these words are of this trajectory
         monitor.until(
             lambda: monitor.get("controller", "phase") != Phase.HOLD.name, 5.0
-        )  # these words are of this trajectory
-        return start, max(
-            float(monitor.get("controller", "duration") or duration) - duration, 0.0
         )
+        whole = float(monitor.get("controller", "duration") or duration)
+        return Trip(plan, start, max(whole - duration, 0.0))
 
-    def _follow(self, action: Action, end: int, duration: float) -> Trouble | None:
+    def _follow(self, action: Action, trip: Trip) -> Trouble | None:
         """Watch until the trajectory is over or the robot is without control, and a
         little longer.
         """
         monitor = self.monitor
+        duration = trip.plan.certificate.duration
+        end = trip.stamp(duration)
         deadline = time.monotonic() + TRIP_PATIENCE + 20.0 * duration
         limp = (Phase.FAULT, Phase.SAFE_STOP)
         while time.monotonic() < deadline:
@@ -333,91 +344,62 @@ class Session(Stack):
     def _judge(
         self,
         name: str,
-        case: FaultCase,
-        plan: Plan,
-        start: int,
-        shift: float,
-        faulted: list[int],
-        crossings: list[int],
-        times: list[int],
-        trouble: Trouble | None,
         action: Action,
+        trip: Trip,
+        faults: list[Fault],
+        trouble: Trouble | None,
         until: int,
     ) -> tuple[Evidence, list[CrossingRecord]]:
-        """Judge what became of each faulted crossing, by the true joints."""
-        monitor = self.monitor
+        """Judge what became of each faulted crossing, by the true joints until a stamp,
+        ns.
+        """
+        monitor, case, certificate = self.monitor, action.case, trip.plan.certificate
         stamps, rows = monitor.truth.table(12)
         rows, stamps = rows[stamps <= until], stamps[stamps <= until]
-        command_stamps, command_rows = monitor.at_rig.table(2)
         evidence = Evidence(
             stamps,
             rows[:, :4],
             rows[:, [8, 10]],
-            command_stamps,
-            command_rows,
+            *monitor.at_rig.table(2),
             self.period,
         )
         trouble = self._first_trouble(trouble)
         sides = judgement.true_side(evidence.joints)
-        records: list[CrossingRecord] = []
-        sent = (monitor.truth.sent[1:], monitor.commands.sent[300:])
+        sent = (monitor.truth.sent[1:], monitor.commands.sent[KEPT_COMMANDS:])
         disturbed = not self.lockstep and any(
             judgement.paused(np.array(times), self.gap_limit) for times in sent
         )
-        for index, crossing, at in zip(faulted, crossings, times, strict=True):
+        records: list[CrossingRecord] = []
+        for fault in faults:
             judged_at = max(
-                crossing + round(JUDGED_AFTER * NANOSECONDS),
-                at + round(0.02 * NANOSECONDS),
+                fault.crossing + round(JUDGED_AFTER * NANOSECONDS),
+                fault.begin + round(0.02 * NANOSECONDS),
             )
-            outcome = Outcome.CROSSED
             stopped = trouble is not None and trouble.stamp <= judged_at + action.grace
             if stopped and trouble is not None:
                 outcome = trouble.outcome
-            elif len(stamps) and stamps[-1] >= judged_at:
-                place = int(np.searchsorted(stamps, judged_at))
-                if sides[place] != np.sign(plan.certificate.crossing_signs[index]):
-                    outcome = Outcome.MISSED
-                elif action.refused:
-                    outcome = Outcome.REFUSED
-            else:
+            elif not len(stamps) or stamps[-1] < judged_at:
                 outcome = Outcome.MISSED
-            if (
-                disturbed
-                and outcome not in case.expect
-                and outcome is not Outcome.MISSED
+            elif sides[np.searchsorted(stamps, judged_at)] != np.sign(
+                certificate.crossing_signs[fault.number]
             ):
-                outcome = Outcome.DISTURBED
-            s = np.interp(
-                (at - start) / NANOSECONDS - shift,
-                plan.certificate.profile.time,
-                plan.certificate.profile.s,
-            )
-            where = (
-                "at the locus"
-                if abs(s) < NEAR
-                else "before"
-                if at < crossing
-                else "after"
-            )
+                outcome = Outcome.MISSED
+            else:
+                outcome = Outcome.REFUSED if action.refused else Outcome.CROSSED
+            expected = outcome.value in case.expect
+            if disturbed and not expected and outcome is not Outcome.MISSED:
+                outcome, expected = Outcome.DISTURBED, True
             records.append(
                 {
                     "event": "record",
                     "case": name,
                     "outcome": outcome.value,
-                    "expected": (
-                        outcome.value in [*case.expect, Outcome.DISTURBED.value]
-                    ),
-                    "where": (
-                        "throughout"
-                        if case.kind in ("transport", "network", "flood")
-                        else where
-                    ),
-                    "offset": (at - crossing) / NANOSECONDS,
+                    "expected": expected,
+                    "where": self._place(case, trip, fault),
+                    "offset": (fault.begin - fault.crossing) / NANOSECONDS,
                     "reason": monitor.get("controller", "reason") if stopped else "",
                     "true_error": (
-                        self._true_error(plan, evidence, start, shift, crossing)
-                        if not stopped
-                        else None
+                        None if stopped else self._true_error(trip, evidence, fault)
                     ),
                     "torque": judgement.largest_torque(evidence),
                     "reported": [],
@@ -428,6 +410,17 @@ class Session(Stack):
             if stopped:
                 break  # the crossings after it did not take place
         return evidence, records
+
+    @staticmethod
+    def _place(case: FaultCase, trip: Trip, fault: Fault) -> str:
+        """Say where in the crossing the fault began."""
+        if case.kind in ("transport", "network", "flood"):
+            return "throughout"
+        profile = trip.plan.certificate.profile
+        time = trip.times(np.array([fault.begin]))
+        if abs(np.interp(time, profile.time, profile.s)[0]) < NEAR:
+            return "at the locus"
+        return "before" if fault.begin < fault.crossing else "after"
 
     def _first_trouble(self, trouble: Trouble | None) -> Trouble | None:
         """Return the first answered state without control, where there is one."""
@@ -442,22 +435,17 @@ class Session(Stack):
                 return Trouble(min(stamp, trouble.stamp) if trouble else stamp, outcome)
         return trouble
 
-    def _true_error(
-        self, plan: Plan, evidence: Evidence, start: int, shift: float, crossing: int
-    ) -> float:
+    def _true_error(self, trip: Trip, evidence: Evidence, fault: Fault) -> float:
         """Return the largest distance of the true end effector from the reference
         around one crossing, m.
         """
         half = round(SPREAD * NANOSECONDS)
-        near = (evidence.stamps >= crossing - half) & (
-            evidence.stamps <= crossing + half
-        )
+        near = np.abs(evidence.stamps - fault.crossing) <= half
         if not near.any():
             return float("nan")
-        times = (evidence.stamps[near] - start) / NANOSECONDS - shift
-        wanted = plan.trajectory.table(np.clip(times, 0.0, plan.certificate.duration))[
-            0
-        ]
+        times = trip.times(evidence.stamps[near])
+        end = trip.plan.certificate.duration
+        wanted = trip.plan.trajectory.table(np.clip(times, 0.0, end))[0]
         actual = judgement.true_position(self.robot, evidence.joints[near])
         return float(np.hypot(*(actual - wanted).T).max())
 
@@ -515,9 +503,8 @@ def main() -> int:
         except KeyboardInterrupt as interrupt:
             return signals.exit_code(interrupt)
         finally:
-            signals.install(
-                signal.SIG_IGN
-            )  # a further one would keep the nodes from being ended
+            # a further one would keep the nodes from being ended
+            signals.install(signal.SIG_IGN)
             if session is not None:
                 tally = session.close()
                 say(

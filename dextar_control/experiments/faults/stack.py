@@ -204,9 +204,8 @@ class Stack:
             not monitor.until(self.holding, HOLD_WAIT) and time.monotonic() < deadline
         ):
             monitor.change_parameters("controller", assembly_mode=1)
-            monitor.call(
-                Trigger, "controller/reset"
-            )  # first: a safe stop that brakes would push the robot from its start
+            # first: a safe stop that brakes would push the robot from its start
+            monitor.call(Trigger, "controller/reset")
             monitor.call(Trigger, "plant/reset")
             self.linger(HOLD_WAIT)
             monitor.change_parameters("controller", assembly_mode=1)
