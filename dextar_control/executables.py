@@ -14,6 +14,7 @@ import importlib.util
 import signal
 import sys
 from collections.abc import Callable
+from functools import partial
 
 from dextar_control.contract import signals
 from dextar_control.contract.topics import INTERFACES, WITHOUT_INTERFACES
@@ -30,31 +31,6 @@ def _node(module: str) -> int:
     return _run(module, lambda _: 0)  # as any node that is asked to end
 
 
-def plant() -> int:
-    """Run the simulated rig."""
-    return _node("dextar_sim.node")
-
-
-def controller() -> int:
-    """Run the controller."""
-    return _node("dextar_control.nodes.controller")
-
-
-def trajectory_server() -> int:
-    """Run the trajectory server."""
-    return _node("dextar_control.nodes.trajectory_server")
-
-
-def recorder() -> int:
-    """Run the recorder."""
-    return _node("dextar_control.nodes.recorder")
-
-
-def markers() -> int:
-    """Run the markers."""
-    return _node("dextar_control.nodes.markers")
-
-
 def go_server() -> int:
     """Run the action ``go``, which needs its interface package."""
     if importlib.util.find_spec(INTERFACES) is None:
@@ -63,28 +39,23 @@ def go_server() -> int:
     return _node("dextar_control.nodes.go_server")
 
 
-def panel() -> int:
-    """Run the panel in the browser."""
-    return _node("dextar_control.nodes.panel")
+plant = partial(_node, "dextar_sim.node")
+controller = partial(_node, "dextar_control.nodes.controller")
+trajectory_server = partial(_node, "dextar_control.nodes.trajectory_server")
+recorder = partial(_node, "dextar_control.nodes.recorder")
+markers = partial(_node, "dextar_control.nodes.markers")
+panel = partial(_node, "dextar_control.nodes.panel")
+warmup = partial(_run, "dextar_control.control.prepare", signals.killed)
 
-
-def warmup() -> int:
-    """Compile the equations."""
-    return _run("dextar_control.control.prepare", signals.killed)
-
-
-EXECUTABLES = {
-    run.__name__: run
-    for run in (
-        plant,
-        controller,
-        trajectory_server,
-        recorder,
-        markers,
-        go_server,
-        panel,
-        warmup,
-    )
+EXECUTABLES: dict[str, Callable[[], int]] = {
+    "plant": plant,
+    "controller": controller,
+    "trajectory_server": trajectory_server,
+    "recorder": recorder,
+    "markers": markers,
+    "go_server": go_server,
+    "panel": panel,
+    "warmup": warmup,
 }
 
 

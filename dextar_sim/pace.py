@@ -9,12 +9,9 @@ away for longer than ``MOST_BEHIND`` loses that time.
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from rclpy.executors import Executor
-
-if TYPE_CHECKING:
-    from dextar_sim.node import PlantNode
 
 SHORTEST = 0.75
 """Share of the period below which two deadlines never come together, however late the
@@ -182,7 +179,44 @@ class Schedule:
         self._last = deadline if missed <= JITTER * self._period else now
 
 
-def cycle(node: PlantNode, executor: Executor) -> None:
+class PacedNode(Protocol):
+    """A node whose samples are paced: what ``cycle`` reads of it and asks it to do."""
+
+    schedule: Schedule
+    period_ns: int
+    paced: bool
+    lockstep: bool
+    answered: bool
+
+    @property
+    def paused(self) -> bool:
+        """Whether simulated time stands still."""
+
+    @property
+    def sample_ready(self) -> bool:
+        """Whether the next sample has been simulated."""
+
+    @property
+    def awaited(self) -> bool:
+        """Whether a command for the last sample may still come."""
+
+    def advance(self) -> None:
+        """Simulate the next sample."""
+
+    def publish(self) -> None:
+        """Publish the sample."""
+
+    def listen(self) -> None:
+        """Take the commands that have come."""
+
+    def wait(self, seconds: float) -> None:
+        """Wait for a command, s at most."""
+
+    def repeat_unanswered(self) -> None:
+        """Publish the sample again, whose command has not come."""
+
+
+def cycle(node: PacedNode, executor: Executor) -> None:
     """Do one sample: take its command, simulate, and publish the state at its deadline;
     or spend some of the waiting for that command.
 
@@ -223,7 +257,7 @@ def cycle(node: PlantNode, executor: Executor) -> None:
     node.publish()
 
 
-def _pass(node: PlantNode, executor: Executor, left: float) -> None:
+def _pass(node: PacedNode, executor: Executor, left: float) -> None:
     """Spend some of the time until the work begins; a sample that makes lateness up
     waits for its command, to begin with it.
     """
@@ -234,7 +268,7 @@ def _pass(node: PlantNode, executor: Executor, left: float) -> None:
         node.wait(left)
 
 
-def _await_command(node: PlantNode, executor: Executor) -> None:
+def _await_command(node: PacedNode, executor: Executor) -> None:
     """Wait in lockstep for the command of a step."""
     node.wait(SERVED_EACH)
     if node.schedule.serve(time.monotonic_ns()):

@@ -209,6 +209,18 @@ def launch_arguments() -> str:
     return table(("argument", "default", "what it is"), rows)
 
 
+def robot_keys() -> str:
+    """The description of a robot, with the shipped one's numbers."""
+    file = resources.config_file(resources.ROBOT_FILE)
+    shipped = resources.node_defaults("controller", file)
+    names = {key: f"robot.{key}" for key in ROBOT_KEYS}
+    rows = (
+        [code(names[key]), str(shipped.get(names[key], "")), text]
+        for key, text in ROBOT_KEYS.items()
+    )
+    return table(("key", "the DexTAR's", "what it is"), rows)
+
+
 def ranges(title: str, numbers: dict[str, Range]) -> str:
     """What a campaign file may say, within which limits."""
     rows = (
@@ -230,7 +242,6 @@ def commands() -> str:
 
 def tables() -> dict[str, str]:
     """Every table, by the name under which a page has it in double braces."""
-    robot = ([code(f"robot.{key}"), text] for key, text in ROBOT_KEYS.items())
     return {
         "nodes": nodes(),
         "topics": topics(),
@@ -245,7 +256,7 @@ def tables() -> dict[str, str]:
         "commands": commands(),
         "perturbations": ranges("perturbation", PERTURBATIONS),
         "bars": ranges("bar", BARS),
-        "robot_keys": table(("key", "what it is"), robot),
+        "robot_keys": robot_keys(),
         **{
             f"parameters_{name}": parameters(name, node_class(name).PARAMETERS)
             for name in NODES

@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -53,6 +52,7 @@ from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn, title
 from dextar_control.contract.topics import EFFORT_COMMANDS, JOINT_COMMANDS, JOINT_STATES
 from dextar_control.nodekit.cdr import from_time, to_time
+from dextar_control.nodekit.domain import discovery
 from dextar_control.nodekit.node import qos
 
 DISCOVERY = 3.0  # s until whoever is there has been found
@@ -155,25 +155,15 @@ class RigClient(Node):
             name = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             if name != own:
                 reliable = info.qos_profile.reliability == ReliabilityPolicy.RELIABLE
-                fits, why = (
-                    check(info.qos_profile) if check else (QoSCompatibility.OK, "")
-                )
-                found.append(
-                    Endpoint(
-                        name,
-                        info.topic_type,
-                        reliable,
-                        why if fits == QoSCompatibility.ERROR else "",
-                    )
-                )
+                mismatch = ""
+                if check:
+                    fits, why = check(info.qos_profile)
+                    mismatch = why if fits == QoSCompatibility.ERROR else ""
+                found.append(Endpoint(name, info.topic_type, reliable, mismatch))
         return tuple(found)
 
     def hint(self) -> str:
         """Return where to look when nobody publishes states."""
-        domain, discovery = (
-            os.environ.get("ROS_DOMAIN_ID", "0"),
-            os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET"),
-        )
         names = [
             name
             for name, types in self.get_topic_names_and_types()
@@ -183,9 +173,8 @@ class RigClient(Node):
             ", ".join(name for name in names if self.count_publishers(name)) or "none"
         )
         return (
-            f"Nobody publishes {self._states.topic_name} (ROS_DOMAIN_ID {domain},"
-            f" discovery {discovery}). Other topics of that type: {others}; --states"
-            " and --namespace choose another."
+            f"Nobody publishes {self._states.topic_name} ({discovery()}). Other topics"
+            f" of that type: {others}; --states and --namespace choose another."
         )
 
     def open(self) -> None:
@@ -330,10 +319,6 @@ def run_check(arguments: argparse.Namespace) -> int:
     return 1 if has_failed(lines) else 0
 
 
-def _check(stop: StopSignal) -> None:
-    stop.check()
-
-
 def _look(
     console: Terminal, node: RigClient, stop: StopSignal, wait: float, duration: float
 ) -> tuple[Graph, list[JointSample]]:
@@ -348,14 +333,14 @@ def _look(
         )
         begun = begin = time.monotonic()
         while time.monotonic() - begin < wait and not any(True for _ in node.take()):
-            _check(stop)
+            stop.check()
             time.sleep(20 * POLL)
             progress.update(bar, completed=time.monotonic() - begin)
         progress.update(bar, completed=wait, description="watching")
         for span, keep in ((SETTLE, False), (duration, True)):
             begin, done = time.monotonic(), progress.tasks[0].completed
             while (elapsed := time.monotonic() - begin) < span:
-                _check(stop)
+                stop.check()
                 taken = list(node.take())
                 if keep:
                     samples += taken
@@ -378,7 +363,7 @@ def _settled(node: RigClient, earliest: float, stop: StopSignal | None = None) -
         if now >= latest or (now >= earliest and not unknown):
             return graph
         if stop is not None:
-            _check(stop)
+            stop.check()
         time.sleep(20 * POLL)
 
 
@@ -426,23 +411,22 @@ def _torque(
     node.open()
     deadline = time.monotonic() + DISCOVERY
     while not node.heard and time.monotonic() < deadline:
-        _check(stop)
+        stop.check()
         time.sleep(20 * POLL)
     if not node.heard:
         tests.stop("nobody received the commands")
         return None
-    settle = (
-        time.monotonic() + SETTLE
-    )  # both ends must have matched, and the states that waited are old
+    # Both ends must have matched, and the states that waited are old.
+    settle = time.monotonic() + SETTLE
     while time.monotonic() < settle:
         for _ in node.take():
             node.command(NO_TORQUE)
-        _check(stop)
+        stop.check()
         time.sleep(POLL)
     with console.working("torque") as working:
         looked = time.monotonic()
         while not tests.finished:
-            _check(stop)
+            stop.check()
             now = time.monotonic()
             if now - looked > GRAPH_PERIOD:
                 looked = now

@@ -92,25 +92,21 @@ class Limits:
 
 FREE = ("healthy_time", "joint_margin", "assembly_mode")
 """Limits that are the controller's own parameters, and in their ranges."""
+# States in one pulse at the expected rate, so that a response can be judged.
 MIN_SAMPLES = 20
-"""States in one pulse at the expected rate, so that a response can be judged."""
+# States of a whole doublet that must have come.
 MIN_DOUBLET = 30
-"""States of a whole doublet that must have come."""
+# Of the test torque: an effort may miss its command by this, and below it counts as
+# none.
 EFFORT_SHARE = 0.2
-"""Of the test torque: by which an effort may miss its command, and below which it
-counts as none.
-"""
+# rad that the first pulse must move a joint: four counts of an encoder of 2^17.
 MIN_MOVE = 2.0e-4
-"""rad that the first pulse must move a joint: four counts of an encoder of 2^17."""
+# The integral of the velocity may miss the change of position over VELOCITY_WINDOW by
+# this share and this angle, rad: a drive's velocity is filtered, so it lags.
 VELOCITY_SHARE, VELOCITY_FLOOR = 0.2, 2.0e-3
-"""Of the change of position over VELOCITY_WINDOW, and rad, by which the integral of the
-velocity may miss it: a drive's velocity is filtered, so it lags.
-"""
-VELOCITY_WINDOW = 0.05
-"""s."""
+VELOCITY_WINDOW = 0.05  # s
+# Share of the windows with movement that may miss: a stamp taken late spoils one, a
+# wrong velocity all.
 VELOCITY_MISSES = 0.2
-"""Share of the windows with movement that may miss: a stamp taken late spoils one, a
-wrong velocity all.
-"""
+# New states from which a stream can be judged.
 MIN_STATES = 20
-"""New states from which a stream can be judged."""

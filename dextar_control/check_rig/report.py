@@ -77,7 +77,7 @@ LINES = {
 """Every line of a report, in this order, and what it asks for."""
 
 TORQUE_LINES = ("response q11", "response q21", "watchdog", "refuses NaN")
-"""Those that need torque on the robot."""
+"""The lines that need torque on the robot."""
 
 
 def passed(name: str, measured: str, limit: str = "", **numbers: float) -> CheckLine:

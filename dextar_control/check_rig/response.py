@@ -79,13 +79,13 @@ def movements(trial: TorqueTrial) -> tuple[float, float, float]:
         zip((id(sample) for sample in trial.samples), trial.answers, strict=True)
     )
     commands: list[Torque | None] = [answer[id(sample)] for sample in kept]
+    # NaN is refused, which gives no torque.
     torque = np.nan_to_num(
         [0.0 if command is None else command[trial.joint] for command in commands]
-    )  # NaN is refused
+    )
     t = times(kept)
-    one = (
-        0.5 * trial.limits.torque * trial.limits.pulse**2
-    )  # what one pulse of both integrals comes to
+    # What one pulse of both integrals comes to.
+    one = 0.5 * trial.limits.torque * trial.limits.pulse**2
     shapes = [
         _twice(t, np.maximum(torque, 0.0)) / one,
         _twice(t, np.minimum(torque, 0.0)) / one,

@@ -321,15 +321,12 @@ def _pace(samples: Sequence[JointSample], limits: Limits) -> list[CheckLine]:
     rate = 1.0 / max(float(intervals.mean()), NANOSECOND)
     jitter = float(np.percentile(np.abs(intervals - limits.period), 99))
     gap = float(intervals.max())
-    taken = np.maximum.accumulate(
-        np.array([sample.stamp for sample in samples], dtype=np.int64)
-    )  # a step back is refused
+    # A step back is refused.
+    stamps = np.array([sample.stamp for sample in samples], dtype=np.int64)
+    taken = np.maximum.accumulate(stamps)
     stamp_gap = NANOSECOND * int(np.diff(taken).max())
     gaps = f"{1e3 * gap:.1f} ms, by their stamps {1e3 * stamp_gap:.1f} ms"
-    low, high = (
-        limits.rate * (1.0 - limits.rate_tolerance),
-        limits.rate * (1.0 + limits.rate_tolerance),
-    )
+    low, high = (limits.rate * (1.0 + sign * limits.rate_tolerance) for sign in (-1, 1))
     return [
         judged(
             low <= rate <= high,
@@ -389,13 +386,8 @@ def _rise(samples: Sequence[JointSample], limits: Limits) -> CheckLine:
     """Judge whether stamps rise: a step back is a fault of the controller, a repetition
     only begins its healthy time anew.
     """
-    stream, last, back, repeated, healthy = (
-        StateStream(),
-        samples[0].stamp - 1,
-        0,
-        0,
-        0.0,
-    )
+    stream, last = StateStream(), samples[0].stamp - 1
+    back, repeated, healthy = 0, 0, 0.0
     for sample in samples:
         if sample.stamp > last:
             last = sample.stamp
@@ -435,13 +427,11 @@ def elbow_distance(robot: RobotParameters, q_a: Array) -> Array:
         robot: the five-bar.
         q_a: active joints as the encoders read them, (n, 2), rad.
     """
-    reach, q_a = (
-        np.array([leg.proximal_length for leg in robot.legs]),
-        q_a - robot.encoder_offset,
-    )
-    elbows = np.stack([reach * np.cos(q_a), reach * np.sin(q_a)], axis=-1) + [
-        leg.axis for leg in robot.legs
-    ]  # (n, 2 legs, 2)
+    length = np.array([leg.proximal_length for leg in robot.legs])
+    axes = np.array([leg.axis for leg in robot.legs])
+    q_a = q_a - robot.encoder_offset
+    links = length[:, None] * np.stack([np.cos(q_a), np.sin(q_a)], axis=-1)
+    elbows = links + axes  # (n, 2 legs, 2)
     return np.asarray(np.hypot(*(elbows[:, 1] - elbows[:, 0]).T))
 
 
@@ -580,11 +570,8 @@ def judge_velocity(stretches: Sequence[Sequence[JointSample]]) -> CheckLine:
         both = by_name(joint_angles(stretch)[0], "velocity")[0]
         if len(both) < 3:
             continue
-        t, q_a, q_a_dot = (
-            times(both),
-            joint_angles(both)[1],
-            by_name(both, "velocity")[1],
-        )
+        t, q_a = times(both), joint_angles(both)[1]
+        q_a_dot = by_name(both, "velocity")[1]
         steps = 0.5 * (q_a_dot[1:] + q_a_dot[:-1]) * np.diff(t)[:, None]
         travelled = np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])
         marks = np.unique(
@@ -596,10 +583,8 @@ def judge_velocity(stretches: Sequence[Sequence[JointSample]]) -> CheckLine:
         whole = np.array(gaps) <= max(
             0.5 * VELOCITY_WINDOW, 2.0 * float(np.median(np.diff(t)))
         )
-        change, integral = (
-            np.diff(q_a[marks], axis=0)[whole],
-            np.diff(travelled[marks], axis=0)[whole],
-        )
+        change = np.diff(q_a[marks], axis=0)[whole]
+        integral = np.diff(travelled[marks], axis=0)[whole]
         miss = np.abs(change - integral)
         moving = np.maximum(np.abs(change), np.abs(integral)) > VELOCITY_FLOOR
         over = miss > np.maximum(VELOCITY_FLOOR, VELOCITY_SHARE * np.abs(change))

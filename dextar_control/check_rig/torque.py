@@ -20,10 +20,9 @@ from dextar_control.check_rig.trial import (
     silence,
 )
 
+# A test that failed while the machine disturbed it has so many tries; the last one is
+# judged as it is.
 TRIES = 5
-"""Of a test that failed while the machine disturbed it; the last one is judged as it
-is.
-"""
 
 
 class TorqueTests:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dextar_control.cli import EXIT_FAILED, EXIT_USAGE
+from dextar_control.cli.arguments import number
 from dextar_control.cli.bags import add_robot, exit_code_of, given_robot, shown_progress
 from dextar_control.cli.pdf import add_pdf, write_pdf
 from dextar_control.contract.errors import DextarError
@@ -53,23 +54,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_pdf(parser, "report.html")
     parser.add_argument(
         "--width",
-        type=_width,
+        type=number(*WIDTHS, "mm"),
         default=88.0,
         metavar="MM",
         help="of that figure, mm (default: %(default)g)",
     )
-
-
-def _width(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not WIDTHS[0] <= value <= WIDTHS[1]:
-        raise argparse.ArgumentTypeError(
-            f"width = {text}; it must lie in {WIDTHS[0]:g} to {WIDTHS[1]:g} mm"
-        )
-    return value
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from dextar_control.cli.arguments import number
+
 SUMMARY = (
     "cost of a tick, of a DDS round trip and of a plant step, beside a baseline of the"
     " same minute"
@@ -37,18 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--seconds",
-        type=_seconds,
+        type=number(0.1, 3600.0, "s"),
         default=5.0,
         metavar="S",
         help="of each DDS measurement (default: %(default)s)",
     )
-
-
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0.1 <= value <= 3600.0:
-        raise argparse.ArgumentTypeError(f"{text}; it must lie in 0.1 to 3600 s")
-    return value
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from dextar_control.cli.arguments import add_bag
 from dextar_control.cli.bags import add_robot, exit_code_of, given_robot, shown_progress
 
 SUMMARY = "a recorded run as a table for pandas or MATLAB"
@@ -20,7 +21,7 @@ FORMATS = ("parquet", "csv", "mat")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's own arguments."""
-    parser.add_argument("bag", type=Path, help="an .mcap file, or the run's folder")
+    add_bag(parser)
     add_robot(parser)
     parser.add_argument(
         "--output",

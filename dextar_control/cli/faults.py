@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from dextar_control.cli.arguments import whole
+
 SUMMARY = (
     "try faults against the nodes while the robot crosses: lost, late and broken"
     " messages, killed processes, full disks"
@@ -37,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--count",
-        type=_positive,
+        type=whole(1, 100_000),
         metavar="N",
         help="faulted crossings of each case (default: the file's)",
     )
@@ -49,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--jobs",
-        type=_positive,
+        type=whole(1, 100_000),
         default=2,
         metavar="N",
         help="sets of nodes side by side in simulated time (default: 2)",
@@ -61,13 +63,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="where runs go (default: runs)",
     )
-
-
-def _positive(text: str) -> int:
-    number = int(text)
-    if not 1 <= number <= 100_000:
-        raise argparse.ArgumentTypeError(f"{number}; it must be 1 to 100000")
-    return number
 
 
 def run(arguments: argparse.Namespace) -> int:

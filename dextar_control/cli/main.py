@@ -66,7 +66,7 @@ NODES = ", ".join(EXECUTABLES)
 
 
 def parser() -> argparse.ArgumentParser:
-    """The whole command line."""
+    """Return the whole command line."""
     whole = argparse.ArgumentParser(
         prog="dextar",
         description=(
@@ -97,9 +97,8 @@ def main(argv: list[str] | None = None) -> int:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(
-                errors="replace"
-            )  # a terminal that knows no × shows a ? for it
+            # A terminal that knows no × shows a ? for it.
+            stream.reconfigure(errors="replace")
     return run_command(
         f"dextar {arguments.command}",
         lambda: COMMANDS[arguments.command].run(arguments),

@@ -6,6 +6,8 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
+from dextar_control.cli.arguments import add_bag
+
 SUMMARY = "rebuild a readable, indexed bag from one that is damaged or breaks off"
 DESCRIPTION = (
     "Copies every intact message of a damaged or cut-off recording, or of a folder"
@@ -18,7 +20,7 @@ DESCRIPTION = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's own arguments."""
-    parser.add_argument("bag", type=Path, help="an .mcap file, or a bag's folder")
+    add_bag(parser, "bag")
 
 
 def run(arguments: argparse.Namespace) -> int:

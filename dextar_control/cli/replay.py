@@ -9,6 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from dextar_control.cli.arguments import add_bag, number, whole
 from dextar_control.cli.bags import add_robot, exit_code_of, given_robot, shown_progress
 from dextar_control.contract.errors import ParameterError
 
@@ -25,7 +26,7 @@ WINDOW_MODULE = "dextar_sim.replay"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's own arguments."""
-    parser.add_argument("bag", type=Path, help="an .mcap file, or the run's folder")
+    add_bag(parser)
     add_robot(parser)
     parser.add_argument(
         "--output",
@@ -35,14 +36,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--speed",
-        type=_positive,
+        type=number(0.0, 1000.0, above=True),
         default=0.2,
         metavar="X",
         help="times real time (default: %(default)g)",
     )
     parser.add_argument(
         "--fps",
-        type=_frames,
+        type=whole(1, 120),
         default=20,
         metavar="N",
         help="frames per second (default: %(default)g)",
@@ -69,24 +70,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="show it in PyBullet's window instead (needs a display)",
     )
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not 0.0 < value <= 1000.0:
-        raise argparse.ArgumentTypeError(f"{text}; it must be above 0 and at most 1000")
-    return value
-
-
-def _frames(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 120:
-        raise argparse.ArgumentTypeError(
-            f"{text}; it must be a whole number from 1 to 120"
-        )
-    return int(text)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -83,7 +83,7 @@ def node_help(node: type[DescribedNode]) -> str:
 
 
 def rate(topic: Topic) -> str:
-    """A topic's nominal rate in words."""
+    """Return a topic's nominal rate in words."""
     return topic.rate_text or (f"{topic.rate:g} Hz" if topic.rate else "on change")
 
 

@@ -75,7 +75,7 @@ SCHEDULING = (
     ),
     Parameter("lock_memory", "The process keeps its memory out of the swap."),
 )
-"""Of nodes with a loop that must be on time, named as ros2_control's; see
+"""Parameters of nodes with a loop that must be on time, named as ros2_control's; see
 ``scheduling.ask_kernel``.
 """
 
@@ -91,9 +91,8 @@ def check_value(
     """
 
     def fail(limit: str) -> ParameterError:
-        shown = (
-            value.tolist() if hasattr(value, "tolist") else value
-        )  # ROS hands over arrays
+        # ROS hands over arrays.
+        shown = value.tolist() if hasattr(value, "tolist") else value
         return ParameterError(
             f"parameter '{spec.name}' = {shown!r}; it must be {limit}"
         )

@@ -23,9 +23,12 @@ def as_plain(value: object) -> Plain:
     """Return mappings, lists and Python's own numbers, with None for each number that
     is not finite; numpy's numbers become Python's.
     """
+    if hasattr(value, "tolist"):
+        value = value.tolist()
     if isinstance(value, Mapping):
         return {key: as_plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [as_plain(item) for item in value]
-    number = cast(Plain, value.item() if hasattr(value, "item") else value)
-    return None if isinstance(number, float) and not math.isfinite(number) else number
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return cast(Plain, value)

@@ -17,12 +17,12 @@ FORM = "module:attribute of your own"
 
 
 def is_own(name: str) -> bool:
-    """Whether a name has the form of one's own: ``module:attribute``."""
+    """Return whether a name has the form of one's own: ``module:attribute``."""
     return OWN.fullmatch(name) is not None
 
 
 def short_name(name: str) -> str:
-    """A name without its module."""
+    """Return a name without its module."""
     return name.rpartition(":")[2]
 
 

@@ -21,10 +21,8 @@ from typing import TextIO
 
 from dextar_control.contract.errors import DextarError
 
-EXIT_FAILED, EXIT_USAGE = (
-    1,
-    2,
-)  # what was asked for was done and is no success; a user's mistake
+EXIT_FAILED = 1  # what was asked for was done and is no success
+EXIT_USAGE = 2  # a user's mistake
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 """Ctrl-C, a supervisor's request, a terminal that closes, Ctrl-backslash."""
 RAISE_AGAIN = 0.5  # s after which an interrupt that was swallowed is raised again
@@ -174,9 +172,8 @@ def run_command(name: str, work: Callable[[], int]) -> int:
                 with contextlib.suppress(OSError):
                     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
                 return EXIT_USAGE
-            if isinstance(
-                error, (DextarError, OSError)
-            ):  # a user's mistake, or a disk that fills up under the output
+            # A user's mistake, or a disk that fills up under the output.
+            if isinstance(error, (DextarError, OSError)):
                 from dextar_control.contract.terminal import plain
 
                 tell(plain(f"{name}: {error}"), sys.stderr)
@@ -248,7 +245,6 @@ def tell(text: str, stream: TextIO) -> None:
     try:
         print(text, file=stream, flush=True)
     except OSError:
-        with contextlib.suppress(
-            OSError
-        ):  # what is still buffered would fail again at the process's end
+        # What is still buffered would fail again at the process's end.
+        with contextlib.suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -40,13 +40,6 @@ DARK = {
     "good": "#72d3a2",
     "fifth": "#cf9df0",
 }
-TEXTS = (
-    "ink",
-    "soft",
-    "bad",
-    "good",
-    "accent",
-)  # colours in which words are set, on paper and on wash
 FONT = 'system-ui, -apple-system, "Segoe UI", Helvetica, Arial, sans-serif'
 MONOSPACE = 'ui-monospace, "SF Mono", Menlo, Consolas, monospace'
 FIGURE_FONT = "DejaVu Sans"  # Matplotlib's own, with Greek letters
@@ -162,10 +155,7 @@ def grey(palette: dict[str, str]) -> dict[str, str]:
     luminance.
     """
     return {
-        name: (
-            f"#{round(255.0 * _encoded(luminance(color))):02x}"
-            + 2 * f"{round(255.0 * _encoded(luminance(color))):02x}"
-        )
+        name: "#" + 3 * f"{round(255.0 * _encoded(luminance(color))):02x}"
         for name, color in palette.items()
     }
 
@@ -235,12 +225,10 @@ def matplotlib_line(
 
 def luminance(color: str) -> float:
     """Return the relative luminance of ``#rrggbb``, 0 to 1 (WCAG 2.2)."""
-    red, green, blue = (
-        int(color[index : index + 2], 16) / 255.0 for index in (1, 3, 5)
-    )
+    parts = [int(color[index : index + 2], 16) / 255.0 for index in (1, 3, 5)]
     linear = [
         part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4
-        for part in (red, green, blue)
+        for part in parts
     ]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
@@ -249,11 +237,3 @@ def _encoded(linear: float) -> float:
     return (
         12.92 * linear if linear <= 0.0031308 else 1.055 * linear ** (1.0 / 2.4) - 0.055
     )
-
-
-def contrast(one: str, other: str) -> float:
-    """Return the contrast of two colours, 1 to 21 (WCAG 2.2); text needs 4.5, what is
-    drawn 3.
-    """
-    high, low = sorted((luminance(one), luminance(other)), reverse=True)
-    return (high + 0.05) / (low + 0.05)

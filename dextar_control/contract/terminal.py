@@ -30,13 +30,11 @@ from rich.progress import TextColumn as MarkupColumn
 from rich.table import Column
 from rich.text import Text
 
-FILE_WIDTH = (
-    4000  # characters of a line where the output is no terminal: no table needs so many
-)
+# Characters of a line where the output is no terminal: no table needs so many.
+FILE_WIDTH = 4000
 ColorSystem = Literal["auto", "standard", "256", "truecolor", "windows"]
-LINE_PERIOD = (
-    10.0  # s between two lines about what is under way, where the output is no terminal
-)
+# s between two lines about what is under way, where the output is no terminal.
+LINE_PERIOD = 10.0
 _PICTURES = {
     code: 0x2400 + code for code in range(0x20) if code not in (0x09, 0x0A)
 } | {0x7F: 0x2421}

@@ -13,6 +13,10 @@ from dataclasses import dataclass
 
 from dextar_control.contract.robot import JOINT_NAMES, SIM_JOINT_NAMES
 
+# A reliable writer can repair a reader that was away for as long as its history
+# reaches.
+STREAM_DEPTH = 5000
+
 
 @dataclass(frozen=True)
 class TimeOut:
@@ -38,10 +42,10 @@ class Topic:
         name: relative name, as published.
         type: ROS type, ``package/msg/Type``.
         publisher: who publishes it.
+        meaning: fields and units, in sentences.
         depth: history depth of the publisher (KEEP_LAST).
         latched: transient-local durability, offered and asked for.
         rate: nominal rate in Hz, the highest where publishers differ; 0 for on change.
-        meaning: fields and units, in sentences.
         subscriber: who reads it.
         reliable: whether the publisher offers reliability.
         read_reliable: whether the control path asks for it (in lockstep it always
@@ -59,10 +63,10 @@ class Topic:
     name: str
     type: str
     publisher: str
-    depth: int
-    latched: bool
-    rate: float
     meaning: str
+    depth: int = STREAM_DEPTH
+    latched: bool = False
+    rate: float = 1000.0
     subscriber: str = "anyone"
     reliable: bool = True
     read_reliable: bool = True
@@ -111,9 +115,6 @@ class Service:
         return self.name.partition("/")[0]
 
 
-# A reliable writer can repair a reader that was away for as long as its history
-# reaches.
-STREAM_DEPTH = 5000
 PLATFORM_NAMES = ("x", "y")
 CRITERION_NAMES = (
     "residual",
@@ -153,9 +154,6 @@ JOINT_STATES = Topic(
     "joint_states",
     "sensor_msgs/msg/JointState",
     "rig or plant",
-    STREAM_DEPTH,
-    False,
-    1000.0,
     "It tells of q11 and q21, by name, position (rad), velocity (rad/s) and the effort"
     " applied since the last state (N m).",
     subscriber="controller",
@@ -169,9 +167,6 @@ JOINT_COMMANDS = Topic(
     "joint_commands",
     "sensor_msgs/msg/JointState",
     "controller",
-    STREAM_DEPTH,
-    False,
-    1000.0,
     "It gives q11 and q21, by name, an effort (N m) and nothing else. There is one"
     " publisher: with a second one nobody's commands are taken. In lockstep a message"
     " without joints acknowledges the state and commands nothing.",
@@ -186,9 +181,6 @@ EFFORT_COMMANDS = Topic(
     "effort_commands",
     "std_msgs/msg/Float64MultiArray",
     "controller",
-    STREAM_DEPTH,
-    False,
-    1000.0,
     "The data are the efforts (N m) of q11 and q21 in this order, the layout of the"
     " `~/commands` of forward_command_controller and JointGroupEffortController. The"
     " type has no stamp, so no reader can tell how old a command is: it counts from its"
@@ -206,11 +198,9 @@ EXTERNAL_POSE = Topic(
     "external_pose",
     "geometry_msgs/msg/PoseStamped",
     "camera or plant",
-    STREAM_DEPTH,
-    False,
-    0.0,
     "It tells the measured end effector position (m) in frame base, at the sensor's own"
     " rate.",
+    rate=0.0,
     subscriber="controller",
     read_reliable=False,
     unit="m",
@@ -223,11 +213,11 @@ TRAJECTORY = Topic(
     "trajectory",
     "trajectory_msgs/msg/MultiDOFJointTrajectory",
     "trajectory server",
-    1,
-    True,
-    0.0,
     "It gives the end effector's motion (m, m/s, m/s^2) over time_from_start; no points"
     " mean stop.",
+    depth=1,
+    latched=True,
+    rate=0.0,
     subscriber="controller",
     unit="m, m/s, m/s²",
     joints=(END_EFFECTOR_NAME,),
@@ -237,9 +227,6 @@ CONTROLLER_STATE = Topic(
     "controller_state",
     "trajectory_msgs/msg/JointTrajectory",
     "controller",
-    STREAM_DEPTH,
-    False,
-    1000.0,
     "It tells of x and y, in points[0] the reference (m, m/s, m/s^2), [1] the estimate"
     " (m, m/s), [2] the error (m, m/s) and [3] the output (auxiliary acceleration,"
     " m/s^2, and effort J_inv^T tau, N).",
@@ -251,9 +238,6 @@ CRITERION = Topic(
     "criterion",
     "sensor_msgs/msg/JointState",
     "controller",
-    STREAM_DEPTH,
-    False,
-    1000.0,
     "It tells, as positions by name, residual (N), s (1), sigma_min (1),"
     " projection_weight (1), assembly_mode (+1/-1), phase (enum), mode_confidence (in"
     " the assembly mode, 0.5 to 1), verdict (on the planned crossing that began last: 0"
@@ -269,9 +253,6 @@ SIM_END_EFFECTOR = Topic(
     "sim/end_effector",
     "nav_msgs/msg/Odometry",
     "plant",
-    STREAM_DEPTH,
-    False,
-    1000.0,
     "It tells the true position (m) and velocity (m/s) in frame base.",
     subscriber="analysis only",
     unit="m, m/s",
@@ -281,9 +262,6 @@ SIM_JOINT_STATES = Topic(
     "sim/joint_states",
     "sensor_msgs/msg/JointState",
     "plant",
-    STREAM_DEPTH,
-    False,
-    1000.0,
     "It tells the true position (rad; of passive joints relative to their proximal"
     " link), velocity (rad/s) and applied effort (N m, 0 on passive joints) of q11,"
     " q12, q21 and q22.",
@@ -296,11 +274,11 @@ ROBOT_DESCRIPTION = Topic(
     "robot_description",
     "std_msgs/msg/String",
     "plant",
-    1,
-    True,
-    0.0,
     "It holds the URDF of both legs with joints q11, q12, q21, q22, as"
     " robot_state_publisher and RViz read it. The loop is not closed in it.",
+    depth=1,
+    latched=True,
+    rate=0.0,
     unit="SI, in the text",
     stamp="none",
     joints=SIM_JOINT_NAMES,
@@ -309,11 +287,9 @@ CLOCK = Topic(
     "clock",
     "rosgraph_msgs/msg/Clock",
     "plant",
-    STREAM_DEPTH,
-    False,
-    100.0,
     "It tells simulated time, that of the states' stamps, to nodes with use_sim_time,"
     " in lockstep only.",
+    rate=100.0,
     unit="s",
     stamp="none",
     switch="plant.clock_rate",
@@ -322,11 +298,10 @@ MARKERS = Topic(
     "markers",
     "visualization_msgs/msg/MarkerArray",
     "markers",
-    10,
-    False,
-    25.0,
     "It draws linkage, end effector, reference, trail, t_s and text at the rate of the"
     " display, and base, locus, path and crossings once a second (m, in frame base).",
+    depth=10,
+    rate=25.0,
     unit="m",
     stamp="of the drawing",
     switch="markers.enabled",
@@ -335,10 +310,9 @@ DIAGNOSTICS = Topic(
     "/diagnostics",
     "diagnostic_msgs/msg/DiagnosticArray",
     "all nodes",
-    10,
-    False,
-    5.0,
     "It tells the health of each node.",
+    depth=10,
+    rate=5.0,
     unit="by key",
     stamp="when published",
     rate_text="5 Hz controller, 1 Hz others",
@@ -372,9 +346,6 @@ READABLE_STATE = Topic(
     f"{CONTROLLER_STATE.name}/readable",
     f"{INTERFACES}/msg/ControllerState",
     "controller",
-    STREAM_DEPTH,
-    False,
-    1000.0,
     "It is controller_state with a name for each vector.",
     unit=CONTROLLER_STATE.unit,
     joints=PLATFORM_NAMES,
@@ -385,9 +356,6 @@ READABLE_CRITERION = Topic(
     f"{CRITERION.name}/readable",
     f"{INTERFACES}/msg/Criterion",
     "controller",
-    STREAM_DEPTH,
-    False,
-    1000.0,
     "It is criterion with a field for each name.",
     unit="SI",
     stamp="of the state",

@@ -112,9 +112,8 @@ def _descriptor(path: str | Path) -> int:
         1e3 * WRITER_PATIENCE
     ):
         try:
-            os.read(
-                descriptor, 1
-            )  # nothing: a writer that only has not written yet would make it fail
+            # Nothing comes: a writer that only has not written yet makes this fail.
+            os.read(descriptor, 1)
         except BlockingIOError:
             pass
         else:
@@ -413,11 +412,9 @@ def _plain(node: yaml.Node, source: str, seen: dict[int, Plain]) -> Plain:
     if isinstance(node, yaml.ScalarNode):
         null = node.style is None and node.value in _NULL and node.tag != STRING_TAG
         value = _value_of(node)
-        word = (
-            isinstance(value, float)
-            and not math.isfinite(value)
-            and "." not in node.value
-        )  # nan and inf, as in YAML
+        # nan and inf without a point are words, as in YAML.
+        not_finite = isinstance(value, float) and not math.isfinite(value)
+        word = not_finite and "." not in node.value
         return None if null else node.value if word else value
     if isinstance(node, yaml.SequenceNode):
         value = [_plain(item, source, seen) for item in node.value]

@@ -13,7 +13,7 @@ import tempfile
 from dextar_control.contract.errors import DextarError
 
 DOMAINS = range(1, 100)
-"""All of them leave their ports below those that Linux gives to others."""
+"""The ports of these domains lie below those that Linux gives to others."""
 
 _held: list[int] = []  # descriptors of locks, for as long as the process lives
 
@@ -56,6 +56,12 @@ def _opened(path: str) -> int | None:
         with contextlib.suppress(OSError):
             return os.open(path, flags | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
     return None
+
+
+def discovery() -> str:
+    """Return the DDS domain and how far discovery reaches, in words."""
+    reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    return f"ROS_DOMAIN_ID {os.environ.get('ROS_DOMAIN_ID', '0')}, discovery {reach}"
 
 
 def choose_domain() -> str:

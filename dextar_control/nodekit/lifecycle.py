@@ -11,12 +11,8 @@ from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallba
 from dextar_control.contract.errors import DextarError
 from dextar_control.nodekit.node import DextarNode
 
-UNCONFIGURED, INACTIVE, ACTIVE = "unconfigured", "inactive", "active"
-SUCCESS, FAILURE, ERROR = (
-    TransitionCallbackReturn.SUCCESS,
-    TransitionCallbackReturn.FAILURE,
-    TransitionCallbackReturn.ERROR,
-)
+UNCONFIGURED, ACTIVE = "unconfigured", "active"
+SUCCESS = TransitionCallbackReturn.SUCCESS
 
 
 class ManagedNode(LifecycleNodeMixin, DextarNode):
@@ -63,15 +59,9 @@ class ManagedNode(LifecycleNodeMixin, DextarNode):
             Transition.TRANSITION_DEACTIVATE: self.trigger_deactivate,
             Transition.TRANSITION_CLEANUP: self.trigger_cleanup,
         }
-        possible = {
-            number: label
-            for number, label, *_ in self._state_machine.available_transitions
-        }
+        possible = self._possible()
         if transition not in possible:
-            self.get_logger().error(
-                f"transition {transition} is not possible in state {self.lifecycle};"
-                f" possible are: {', '.join(sorted(possible.values())) or 'none'}"
-            )
+            self._refuse_transition(str(transition))
             return False
         before, label = self.lifecycle, possible[transition]
         self.transition_error = None
@@ -86,20 +76,24 @@ class ManagedNode(LifecycleNodeMixin, DextarNode):
     ) -> ChangeState.Response:
         wanted = request.transition.id
         if request.transition.label:
-            labels = {
-                label: number
-                for number, label, *_ in self._state_machine.available_transitions
-            }
+            labels = {label: number for number, label in self._possible().items()}
             if request.transition.label not in labels:
-                self.get_logger().error(
-                    f"transition '{request.transition.label}' is not possible in state"
-                    f" {self.lifecycle}; possible are:"
-                    f" {', '.join(sorted(labels)) or 'none'}"
-                )
+                self._refuse_transition(f"'{request.transition.label}'")
                 return response
             wanted = labels[request.transition.label]
         response.success = self.change_state(wanted)
         return response
+
+    def _possible(self) -> dict[int, str]:
+        """Return the labels of the transitions from here, by their numbers."""
+        found = self._state_machine.available_transitions
+        return {number: label for number, label, *_ in found}
+
+    def _refuse_transition(self, transition: str) -> None:
+        self.get_logger().error(
+            f"transition {transition} is not possible in state {self.lifecycle};"
+            f" possible are: {', '.join(sorted(self._possible().values())) or 'none'}"
+        )
 
     def _try(self, name: str) -> TransitionCallbackReturn:
         try:
@@ -107,12 +101,10 @@ class ManagedNode(LifecycleNodeMixin, DextarNode):
         except DextarError as error:
             self.transition_error = error
             self.get_logger().error(f"{name} is refused: {error}")
-            return FAILURE
-        except (
-            Exception
-        ) as error:  # rclpy would swallow it and go to error processing without a word
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # which rclpy would swallow without a word
             self.get_logger().error(f"{name} failed: {type(error).__name__}: {error}")
-            return ERROR
+            return TransitionCallbackReturn.ERROR
         return SUCCESS
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:

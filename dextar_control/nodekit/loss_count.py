@@ -34,9 +34,8 @@ class LossCount:
         self.lost = 0
         self.supported = True
         self._count_publishers = count_publishers
-        self._expected: list[
-            int
-        ] = []  # next number of each publisher, the one heard last first
+        # The next number of each publisher, of the one heard last first.
+        self._expected: list[int] = []
 
     def restart(self) -> None:
         """Count anew from the next sample on."""

@@ -436,15 +436,12 @@ def run_node(
     except DextarError as error:
         return _refuse(str(error))
     except BaseException as error:
-        if (
-            stop and stop.starting and not isinstance(error, SystemExit)
-        ):  # also what the compiler makes of an interrupt
+        # The compiler may have made another error of an interrupt.
+        interrupted = stop and stop.starting and not isinstance(error, SystemExit)
+        if interrupted or caused_by_interrupt(error):
             return 0
-        if caused_by_interrupt(error):
-            return 0
-        if node is None and type(error).__module__.startswith(
-            "rclpy._rclpy"
-        ):  # e.g. security is asked for and not there
+        # E.g. security is asked for and not there.
+        if node is None and type(error).__module__.startswith("rclpy._rclpy"):
             return _refuse(_in_one_line(error))
         if node is None and isinstance(error, OSError):  # e.g. too many open files
             return _refuse(f"the node cannot be started: {error}")
@@ -475,11 +472,9 @@ def _answer(make: type[RunnableNode], words: list[str]) -> int | None:
         tell(node_help(make), sys.stdout)
         return 0
     if own:
-        instead = (
-            f"write --ros-args -p {own[0]}"
-            if ":=" in own[0]
-            else "--help says what there is"
-        )
+        instead = "--help says what there is"
+        if ":=" in own[0]:
+            instead = f"write --ros-args -p {own[0]}"
         return _refuse(
             f"argument '{own[0]}' is not known: a node takes --help, and what stands"
             f" behind --ros-args; {instead}"
@@ -487,9 +482,7 @@ def _answer(make: type[RunnableNode], words: list[str]) -> int | None:
     files_and_more = check_parameter_files(words)
     try:
         remove_ros_args(files_and_more)
-    except (
-        Exception
-    ) as error:  # rcl raises its own types for a bad --ros-args or parameter file
+    except Exception as error:  # rcl raises types of its own for a bad --ros-args
         return _refuse(_in_one_line(error))
     return None
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
@@ -63,3 +65,8 @@ class ParameterSnapshot:
             self.values = dict(
                 zip(names, map(parameter_value_to_python, values), strict=True)
             )
+
+
+def unanswered(snapshots: Iterable[ParameterSnapshot]) -> list[str]:
+    """Return the names of the nodes whose parameters are not known."""
+    return [snapshot.target for snapshot in snapshots if snapshot.values is None]

@@ -49,19 +49,14 @@ def ask_kernel(
         warn: told what is not permitted.
     """
     threads = [int(name) for name in os.listdir("/proc/self/task")]
-    priority, processors = (
-        values["thread_priority"],
-        [int(number) for number in values["cpu_affinity"]],
-    )
+    priority = values["thread_priority"]
+    processors = [int(number) for number in values["cpu_affinity"]]
     if processors:
         try:
             for thread in threads:
                 os.sched_setaffinity(thread, processors)
-        except (
-            OSError,
-            ValueError,
-            OverflowError,
-        ) as error:  # Python itself refuses a negative one
+        # Python itself refuses a negative number.
+        except (OSError, ValueError, OverflowError) as error:
             there = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
             why = getattr(error, "strerror", None) or error
             warn(

@@ -85,9 +85,8 @@ class PolledServices:
         )
         try:
             response: object = answer(request, kind.Response())
-        except (
-            Exception
-        ) as error:  # a malformed request must not end a node that holds a robot
+        # A malformed request must not end a node that holds a robot.
+        except Exception as error:
             self._complain(
                 f"{service.service_name} failed: {type(error).__name__}: {error}"
             )

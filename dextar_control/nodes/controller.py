@@ -137,9 +137,8 @@ PARAMETERS = (
     *SETTINGS,
 )
 
-SWITCH_INTERVAL = (
-    2e-4  # s until the thread that checks a trajectory lets the control thread go on
-)
+# s until the thread that checks a trajectory lets the control thread go on.
+SWITCH_INTERVAL = 2e-4
 WATCH_PERIOD = 0.01  # s
 MOST_AT_ONCE = 10  # states that are answered before what else is due
 # requests: 200 a second are plenty for an operator; the longest, all parameters at
@@ -189,7 +188,8 @@ class ControllerNode(ManagedNode):
         self._verdicts: list[Verdict] = []
         self._completed = 0
         self._tracked: Certificate | None = None
-        # that have begun: who looks five times a second sees none that ends sooner
+        # Motions that have begun: the phases in five diagnostics a second miss one
+        # that ends sooner.
         self._motions = 0
         self._largest_error = 0.0
         self._pose_note = ""
@@ -203,14 +203,13 @@ class ControllerNode(ManagedNode):
         self._situation: tuple[bytes, str, dict[str, object]] | None = None
         sys.setswitchinterval(SWITCH_INTERVAL)
         if self.values["autostart"]:
-            for transition in (
-                Transition.TRANSITION_CONFIGURE,
-                Transition.TRANSITION_ACTIVATE,
+            if not (
+                self.change_state(Transition.TRANSITION_CONFIGURE)
+                and self.change_state(Transition.TRANSITION_ACTIVATE)
             ):
-                if not self.change_state(transition):
-                    raise self.transition_error or ParameterError(
-                        "the controller could not be activated"
-                    )
+                raise self.transition_error or ParameterError(
+                    "the controller could not be activated"
+                )
         gc.collect()
         gc.freeze()
 
@@ -239,9 +238,8 @@ class ControllerNode(ManagedNode):
             JointState, JOINT_STATES.name, profile, raw=True
         )
         self._closers.append(self._close_states)
-        self._automatic = (
-            values["enabled"] and not self._latched[0]
-        )  # after a fault somebody has to ask
+        # After a fault somebody has to ask.
+        self._automatic = values["enabled"] and not self._latched[0]
         self._enabling = "waiting" if self._automatic else "off"
         self._loop = loop
         self.get_logger().info(f"law {values['law']}, estimator {values['estimator']}")
@@ -396,13 +394,11 @@ class ControllerNode(ManagedNode):
         begin = time.perf_counter()
         try:
             stamp, q_a = self._read_state(raw)
-            if stamp == self._stamp and self._outputs.answered:
+            if stamp == self._stamp and self._outputs.can_repeat:
                 self._repeat(stamp)
                 return
-            limit, arrival = (
-                self.values["state_timeout"],
-                None if self._lockstep else begin,
-            )
+            limit = self.values["state_timeout"]
+            arrival = None if self._lockstep else begin
             gap = (stamp - self._stamp) / NANOSECONDS if self._stamp >= 0 else 0.0
             if gap > limit and loop.phase not in (Phase.IDLE, Phase.FAULT):
                 loop.fault(
@@ -512,21 +508,22 @@ class ControllerNode(ManagedNode):
         loop = self._loop
         assert loop is not None
         if loop.phase in LATCHED and self._logged_phase[0] is not loop.phase:
-            loop.reason = "; ".join(
-                [*self._lateness(loop), loop.reason, *self._second_rig(loop)]
-            )
+            late = second = ""
+            # Late commands may be why a watch tripped: they are told before it.
+            if loop.phase is Phase.SAFE_STOP and loop.tripped and not self._lockstep:
+                late = self._statistics.lateness(self._period)
+            # So may be a second rig, which is told after it.
+            if self._states_are_mixed and self._second_publishers not in loop.reason:
+                second = self._second_publishers
+            loop.reason = "; ".join(filter(None, (late, loop.reason, second)))
         before, self._logged_phase = self._logged_phase, (loop.phase, loop.reason)
         if not answered and loop.phase in LIMP:
             self._outputs.release()
         if loop.phase in LATCHED:
-            self._latched = (
-                loop.reason,
-                (
-                    self._latched[1]
-                    if before[0] is loop.phase
-                    else self.unstepped_clock.now()
-                ),
-            )
+            since = self._latched[1]
+            if before[0] is not loop.phase:
+                since = self.unstepped_clock.now()
+            self._latched = loop.reason, since
             self._reference.drop()
             self.get_logger().error(
                 f"{loop.phase.name}: {loop.reason}; {self._next_step()}"
@@ -573,27 +570,6 @@ class ControllerNode(ManagedNode):
         no harm.
         """
         return bool(self._second_publishers) and self._stream.mixed(time.perf_counter())
-
-    def _second_rig(self, loop: ControlLoop) -> list[str]:
-        """Return the second publisher where it may be why the loop let go,
-        in a list.
-        """
-        return (
-            [self._second_publishers]
-            if self._states_are_mixed and self._second_publishers not in loop.reason
-            else []
-        )
-
-    def _lateness(self, loop: ControlLoop) -> list[str]:
-        """Return in a list that commands came too late while a watch tripped in real
-        time; it is told before what the watch saw.
-        """
-        watched = loop.phase is Phase.SAFE_STOP and loop.tripped and not self._lockstep
-        return [
-            text
-            for text in (self._statistics.lateness(self._period) if watched else "",)
-            if text
-        ]
 
     def _next_step(self) -> str:
         """Return what to call for a robot that is held."""
@@ -677,7 +653,7 @@ class ControllerNode(ManagedNode):
             self._enabling = "done"
 
     def _enable(self, loop: ControlLoop) -> None:
-        """Hold, or begin the trajectory that was kept for this."""
+        """Begin to hold, or begin the trajectory that was kept for this."""
         loop.enable()
         self._automatic = False
         self._reference.begin(loop)
@@ -811,21 +787,14 @@ class ControllerNode(ManagedNode):
         """Log each verdict on a planned crossing once, and how a trajectory ended."""
         passed, log = loop.passed, self.get_logger().info
         if passed is not self._logged_crossings:
-            self._logged_crossings, self._verdicts = (
-                passed,
-                [Verdict.UNDECIDED] * len(passed),
-            )
+            self._logged_crossings = passed
+            self._verdicts = [Verdict.UNDECIDED] * len(passed)
         for index, crossing in enumerate(passed):
             if crossing.verdict is not self._verdicts[index]:
                 self._verdicts[index] = crossing.verdict
-                log(
-                    crossing_line(
-                        index,
-                        len(passed),
-                        crossing.verdict.name,
-                        f"{crossing.confidence:.3f}",
-                    )
-                )
+                confidence = f"{crossing.confidence:.3f}"
+                verdict = crossing.verdict.name
+                log(crossing_line(index, len(passed), verdict, confidence))
         if loop.completed != self._completed:
             self._completed = loop.completed
             if loop.completed:
@@ -834,9 +803,12 @@ class ControllerNode(ManagedNode):
 
     def _warnings(self, limit: float) -> list[str]:
         """Return what an operator should look at."""
+        second = self._second_publishers
+        if second and not self._states_are_mixed:
+            second = f"{second}; one speaks"
         told = [
             self._other_commanders,
-            self._told_second_publishers(),
+            second,
             self._other_servers(),
             self._pose_complaint(),
         ]
@@ -852,13 +824,6 @@ class ControllerNode(ManagedNode):
         if self._enabling.startswith("refused"):
             told.append(f"enabling was {self._enabling}")
         return [text for text in told if text]
-
-    def _told_second_publishers(self) -> str:
-        return (
-            self._second_publishers
-            if self._states_are_mixed or not self._second_publishers
-            else f"{self._second_publishers}; one speaks"
-        )
 
     def _other_servers(self) -> str:
         """Return who serves trajectories where there are two; the newest trajectory

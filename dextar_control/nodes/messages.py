@@ -76,11 +76,8 @@ def to_trajectory(message: MultiDOFJointTrajectory) -> Trajectory:
                     f"trajectory point {index} has {len(getattr(point, field))}"
                     f" {field}; expected 1"
                 )
-        p, v, a = (
-            point.transforms[0].translation,
-            point.velocities[0].linear,
-            point.accelerations[0].linear,
-        )
+        p = point.transforms[0].translation
+        v, a = point.velocities[0].linear, point.accelerations[0].linear
         time = point.time_from_start.sec + point.time_from_start.nanosec / NANOSECONDS
         rows.append((time, p.x, p.y, v.x, v.y, a.x, a.y))
     table = np.array(rows).reshape(-1, 7)

@@ -19,36 +19,28 @@ def next_step(controller: str, lifecycle: str, phase: str, enabling: str = "") -
         enabling: as its diagnostics tell it.
     """
     if lifecycle != "active":
+        if lifecycle == "finalized":
+            return "start another controller"
         steps = {
             "unconfigured": ("configure", "activate"),
             "inactive": ("activate",),
-        }.get(lifecycle, ())
-        calls = ", then ".join(
-            f"ros2 lifecycle set {controller} {step}" for step in steps
-        )
-        return (
-            f"type {calls}"
-            if calls
-            else (
-                "start another controller"
-                if lifecycle == "finalized"
-                else "wait, then ask again"
-            )
-        )
-    enable, reset, stop = (
-        command(controller, name) for name in ("enable", "reset", "stop")
-    )
+        }.get(lifecycle)
+        if steps is None:  # a transition is under way
+            return "wait, then ask again"
+        calls = (f"ros2 lifecycle set {controller} {step}" for step in steps)
+        return f"type {', then '.join(calls)}"
+    enable, reset = command(controller, "enable"), command(controller, "reset")
     if phase == "IDLE":
-        return (
-            "wait until it enables by itself"
-            if enabling == "waiting"
-            else f"type {enable}"
-        )
+        if enabling == "waiting":
+            return "wait until it enables by itself"
+        return f"type {enable}"
     if phase == "SAFE_STOP":
         return f"once the robot rests type {reset}, then {enable}"
     if phase == "FAULT":
         return f"type {reset}, then {enable}"
-    return "" if phase == "HOLD" else f"wait until it holds, or type {stop}"
+    if phase == "HOLD":
+        return ""
+    return f"wait until it holds, or type {command(controller, 'stop')}"
 
 
 def command(controller: str, name: str) -> str:
@@ -76,17 +68,10 @@ def why_not(controller: str, told: Mapping[str, str]) -> str:
         return f"the controller is {lifecycle}; a trip needs an active one: {step}"
     if phase == "HOLD" or (phase == "IDLE" and enabling == "waiting"):
         return ""
-    second = next(
-        (
-            text
-            for key in ("other_commanders", "state_publishers")
-            if (text := told.get(key, ""))
-        ),
-        "",
-    )
-    why = "; ".join(
-        text for text in (reason, second if second not in reason else "") if text
-    )
+    second = told.get("other_commanders") or told.get("state_publishers") or ""
+    if second in reason:
+        second = ""
+    why = "; ".join(filter(None, (reason, second)))
     return (
         f"the controller is in phase {phase}{f' ({why})' if why else ''}; a trip starts"
         f" from HOLD: {step}"

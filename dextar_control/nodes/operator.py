@@ -5,7 +5,6 @@ enables and resets the robot, and tells its state.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -30,6 +29,7 @@ from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.signals import EXIT_FAILED, StopSignal, tell
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn, plain
 from dextar_control.contract.topics import DIAGNOSTICS, NODES
+from dextar_control.nodekit.domain import discovery
 from dextar_control.nodekit.node import prepare_middleware, qos
 from dextar_control.nodes.next_step import next_step, why_not
 from dextar_control.nodes.progress import crossing_line, crossings, trip_line, unhealthy
@@ -91,10 +91,9 @@ class OperatorClient(Node):
         self.create_subscription(
             DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS)
         )
-        for (
-            name
-        ) in STOPS:  # known before they are needed: a stop waits for no discovery
-            self._client(Trigger, name)
+        # Known before they are needed: a stop waits for no discovery.
+        for service in STOPS:
+            self._client(Trigger, service)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -167,10 +166,6 @@ class OperatorClient(Node):
         )
 
     def _missing(self, name: str) -> str:
-        domain, discovery = (
-            os.environ.get("ROS_DOMAIN_ID", "0"),
-            os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET"),
-        )
         nodes = self.get_node_names_and_namespaces()
         others = sorted(
             {
@@ -184,7 +179,7 @@ class OperatorClient(Node):
                 f"{self.full(name)} does not run, but there is one in"
                 f" {', '.join(others)}: choose by --namespace"
             )
-        where = f"ROS_DOMAIN_ID {domain}, discovery {discovery}"
+        where = discovery()
         if name in [node for node, _ in nodes]:
             return (
                 f"no word of {self.full(name)} for {SILENCE:.0f} s, though it is there"
@@ -202,7 +197,7 @@ class OperatorClient(Node):
         return self.get_node_names_and_namespaces().count((name, self.get_namespace()))
 
     def alone(self, *names: str) -> None:
-        """See that each of these nodes is there once.
+        """Check that each of these nodes is there once.
 
         Raises:
             Unreached: a request would reach two.
@@ -215,9 +210,8 @@ class OperatorClient(Node):
                 )
 
     def _client(self, kind: type[object], name: str) -> Client:
-        self._clients_of[name] = self._clients_of.get(name) or self.create_client(
-            kind, name
-        )
+        if name not in self._clients_of:
+            self._clients_of[name] = self.create_client(kind, name)
         return self._clients_of[name]
 
     def ask(
@@ -278,7 +272,7 @@ class OperatorClient(Node):
             raise ParameterError(answer.result.reason)
 
     def prepare(self, values: Mapping[str, ParameterValue]) -> None:
-        """See that a trip can begin, and set the task; what is not given stays as it
+        """Check that a trip can begin, and set the task; what is not given stays as it
         was set last.
 
         Raises:
@@ -330,9 +324,8 @@ class OperatorClient(Node):
     def stop_server(self) -> None:
         """Ask that nothing that is still planned begins."""
         server = self._client(Trigger, STOPS[1])
-        if self.until(
-            server.service_is_ready, SERVER, through=True
-        ):  # a robot may do without one
+        # A robot may do without one.
+        if self.until(server.service_is_ready, SERVER, through=True):
             self.until(server.call_async(Trigger.Request()).done, SERVER, through=True)
 
     def at_rest(self) -> bool:
@@ -410,9 +403,7 @@ class OperatorClient(Node):
         """
         told = self.controller
         phase, lifecycle, reason = (
-            told.get("phase", ""),
-            told.get("lifecycle", ""),
-            told.get("reason", ""),
+            told.get(key, "") for key in ("phase", "lifecycle", "reason")
         )
         text = f"{phase or lifecycle}{f' ({reason})' if reason else ''}"
         step = next_step(
@@ -497,10 +488,8 @@ class TripFollower:
         say: Callable[[str], object],
     ) -> None:
         self._me, self._show, self._say = me, show, say
-        self._before, self._completed = (
-            int(me.controller["trajectories"] or 0),
-            me.controller["completed"],
-        )
+        self._before = int(me.controller["trajectories"] or 0)
+        self._completed = me.controller["completed"]
         self._motions = me.controller["motions"]
         self._told: dict[int, str] = {}
         self._asked = 0.0  # when a stop was, s
@@ -610,15 +599,9 @@ class TripFollower:
                 self._told[index] = verdict
                 self._say(crossing_line(index, len(verdicts), verdict, confidence))
         duration = float(told.get("duration") or 0.0)
-        share = (
-            1.0
-            if self.done
-            else (
-                min(float(told.get("reference_time") or 0.0) / duration, 1.0)
-                if duration
-                else 0.0
-            )
-        )
+        share = 1.0 if self.done else 0.0
+        if duration and not self.done:
+            share = min(float(told.get("reference_time") or 0.0) / duration, 1.0)
         self._show(
             f"{'done' if self.done else told.get('phase', ''):<9} {crossings(told)}",
             share,
@@ -678,14 +661,8 @@ def stop(arguments: argparse.Namespace) -> int:
     with operator(arguments.namespace) as me:
         me.stop_robot()
         rests = me.wait_for_rest()
-        say(
-            me.state()
-            if rests
-            else (
-                f"the stop is asked for and not over after {STOPPING:.0f} s:"
-                f" {me.state()}"
-            )
-        )
+        late = f"the stop is asked for and not over after {STOPPING:.0f} s: "
+        say(f"{'' if rests else late}{me.state()}")
     return 0 if rests else EXIT_FAILED
 
 
@@ -731,12 +708,11 @@ def status(arguments: argparse.Namespace) -> int:
                 int(told["crossings"]),
                 float(told["largest_error"]),
             )
-            say(f"last trip: {crossings(told)}{', ' if crossings(told) else ''}{trip}")
+            say(f"last trip: {', '.join(filter(None, (crossings(told), trip)))}")
         for name, values in nodes.items():
             if name != "controller" or values["level"] != OK:
-                say(
-                    f"{name}: {values['message']} {values.get('planning', '')}".rstrip()
-                )
+                text = f"{name}: {values['message']} {values.get('planning', '')}"
+                say(text.rstrip())
         wrong = any(values["level"] == ERROR for values in nodes.values())
     return EXIT_FAILED if wrong else 0
 

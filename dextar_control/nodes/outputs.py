@@ -48,8 +48,8 @@ JUDGED = (
     "estimate.b",
     "estimate.d",
 )
-"""What of a tick is told on ``controller_state``, and on ``criterion``, where phase and
-verdict stand about the confidence.
+"""The quantities of a tick that are published on ``controller_state`` (STATE) and on
+``criterion`` (JUDGED), where phase and verdict stand about the confidence.
 """
 
 
@@ -115,7 +115,7 @@ class Outputs:
         self.stamp = -1
 
     @property
-    def answered(self) -> bool:
+    def can_repeat(self) -> bool:
         """Whether there is a command to repeat."""
         return bool(self._last[0])
 
@@ -154,8 +154,8 @@ class Outputs:
             self._readable.publish(stamp, state, reference_time, judged)
 
     def look(self) -> None:
-        """Look which topics are read; for others no message is made. It takes about 10
-        us.
+        """Find out which topics are read; for others no message is made. It takes about
+        10 us.
         """
         if self._readable is None:  # which needs both
             self._read = (

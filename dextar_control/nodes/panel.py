@@ -272,14 +272,9 @@ class PanelNode(DextarNode):
 
         def done(plan: dict[str, object] | None, error: DextarError | None) -> None:
             if plan is None:
-                told(
-                    False,
-                    str(error),
-                    {
-                        "instead": error.instead if error else {},
-                        "given_up": isinstance(error, GivenUp),
-                    },
-                )
+                instead = error.instead if error else {}
+                given_up = isinstance(error, GivenUp)
+                told(False, str(error), {"instead": instead, "given_up": given_up})
             else:
                 told(True, "this can be driven", {"plan": plan})
 
@@ -316,27 +311,16 @@ class PanelNode(DextarNode):
         self._reporting = asyncio.ensure_future(self._analyze(Path(self._bag), told))
 
     async def _analyze(self, bag: Path, told: Told) -> None:
-        command = [
-            "-n",
-            "10",
-            sys.executable,
-            "-m",
-            "dextar_control.cli.main",
-            "analyze",
-            str(bag),
-        ]
+        module = "dextar_control.cli.main"
+        command = ["nice", "-n", "10", sys.executable, "-m", module, "analyze"]
         process = await asyncio.create_subprocess_exec(
-            "nice",
             *command,
+            str(bag),
             stdout=asyncio.subprocess.DEVNULL,
             stderr=asyncio.subprocess.PIPE,
         )
-        said = (
-            (await process.communicate())[1]
-            .decode(errors="replace")
-            .strip()
-            .splitlines()
-        )
+        _, errors = await process.communicate()
+        said = errors.decode(errors="replace").strip().splitlines()
         page = bag.parent / "report.html"
         # 1: the run is no success, or not whole
         if process.returncode not in (0, 1) or not page.is_file():
@@ -379,26 +363,16 @@ class PanelNode(DextarNode):
     def _state(self, view: View) -> dict[str, object]:
         x = self._scene.platform(view)
         t_s, s = self._scene.kernel(view, x)
-        joints, told = (
-            self._newest.seen[JOINT_STATES.name],
-            self._newest.seen.get(CONTROLLER_STATE.name),
-        )
-        stamp, scalars, points = (
-            joints.header.stamp,
-            view.scalars,
-            [] if told is None else told.points,
-        )
-        error = (
-            float(np.linalg.norm(points[2].positions))
-            if len(points) > 2
-            else float("nan")
-        )
+        seen, scalars = self._newest.seen, view.scalars
+        joints, told = seen[JOINT_STATES.name], seen.get(CONTROLLER_STATE.name)
+        stamp, points = joints.header.stamp, [] if told is None else told.points
+        error: float = np.nan
+        if len(points) > 2:
+            error = float(np.linalg.norm(points[2].positions))
         torque = dict(zip(joints.name, joints.effort, strict=False))
-        behind = (
-            _seconds(stamp) - _seconds(self._newest.seen[CRITERION.name].header.stamp)
-            if scalars
-            else 0.0
-        )
+        behind = 0.0
+        if scalars:
+            behind = _seconds(stamp) - _seconds(seen[CRITERION.name].header.stamp)
         return {
             "time": round(_seconds(stamp), 3),
             "stale": view.stale,
@@ -433,10 +407,15 @@ class PanelNode(DextarNode):
         plant = me.status.get("plant", {}) if me.fresh("plant") else {}
         listening = not nodes and time.monotonic() - self._began < LISTENING
         why, action = trouble_and_remedy(self.get_namespace(), told, nodes, listening)
+        lost = sum(
+            int(value)
+            for key, value in recorder.items()
+            if key.endswith(" lost") and value.isdigit()
+        )
         self.server.send(
             "status",
             {
-                "controller": {key: told[key] for key in SHOWN if key in told},
+                "controller": _known(told, *SHOWN),
                 "why": why,
                 "action": action,
                 "margins": shown_margins(told, UNITS),
@@ -444,25 +423,13 @@ class PanelNode(DextarNode):
                 "nodes": nodes,
                 "values": me.values,
                 "complaint": self._complaint,
-                "plant": {
-                    key: plant[key]
-                    for key in ("mode", "real_time_factor", "late_ticks", "steps")
-                    if key in plant
-                },
-                "recorder": (
-                    {
-                        key: recorder[key]
-                        for key in ("recording", "bag", "bytes", "name")
-                        if key in recorder
-                    }
-                    | {
-                        "lost": sum(
-                            int(value)
-                            for key, value in recorder.items()
-                            if key.endswith(" lost") and value.isdigit()
-                        )
-                    }
+                "plant": _known(
+                    plant, "mode", "real_time_factor", "late_ticks", "steps"
                 ),
+                "recorder": {
+                    **_known(recorder, "recording", "bag", "bytes", "name"),
+                    "lost": lost,
+                },
                 "bag": self._bag,
                 "reported": self._report is not None,
                 "progress": me.progress,
@@ -490,10 +457,8 @@ class PanelNode(DextarNode):
         """Show, tell and answer until it ends."""
         self._loop = asyncio.get_running_loop()
         self.server.begin()
-        period, due = (
-            1.0 / self.values["rate"],
-            {self.status: 0.0, self.diagnose: 0.0, self.operator.each_second: 0.0},
-        )
+        period = 1.0 / self.values["rate"]
+        due = {self.status: 0.0, self.diagnose: 0.0, self.operator.each_second: 0.0}
         periods = {self.status: STATUS_PERIOD}
         following = time.monotonic()
         while not ended():
@@ -517,6 +482,10 @@ class PanelNode(DextarNode):
         """Leave the graph, with the operator's client."""
         self.operator.destroy_node()
         super().destroy_node()
+
+
+def _known(values: Mapping[str, str], *names: str) -> dict[str, str]:
+    return {name: values[name] for name in names if name in values}
 
 
 def _seconds(stamp: Time) -> float:

@@ -37,15 +37,12 @@ SPECS: dict[str, tuple[Parameter, ...]] = {
     "trajectory_server": trajectory_server.PARAMETERS,
     "recorder": recorder.SPECS,
 }
-"""Of the nodes that a panel sets."""
-REBUILT = (
-    "law",
-    "estimator",
-)  # of the controller, which takes them only where it is built anew
+"""The parameters of the nodes that a panel sets."""
+# Parameters that the controller takes only where it is built anew.
+REBUILT = ("law", "estimator")
 KINDS = ("trip", "point", "tour")  # of a task
-SILENT = (
-    3.0  # s without a word of a node, after which its parameters are asked for again
-)
+# s without a word of a node, after which its parameters are asked for again.
+SILENT = 3.0
 LINES = 40  # that are kept of what was said
 EVENTS_DEPTH = 100
 
@@ -253,7 +250,7 @@ class PanelOperator(OperatorClient):
         self._do("desk", work, answer)
 
     def activate(self, answer: Callable[[bool, str], None]) -> None:
-        """A controller that was let go answers states again."""
+        """Have a controller that was let go answer states again."""
 
         def work() -> str:
             if self.controller.get("lifecycle") == "unconfigured":
@@ -365,10 +362,8 @@ def task_of(asked: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
     values = task_values(chosen) | {"task.start": asked["start"]}
     if kind == "trip":
         values["task.goal"] = asked["goal"]
-    defaults, specs = (
-        node_defaults("trajectory_server"),
-        {spec.name: spec for spec in trajectory_server.PARAMETERS},
-    )
+    defaults = node_defaults("trajectory_server")
+    specs = {spec.name: spec for spec in trajectory_server.PARAMETERS}
     return {
         name: check_value(specs[name], value, defaults[name])
         for name, value in values.items()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 from collections import deque
-from collections.abc import Callable
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
@@ -15,18 +14,16 @@ from dextar_control.nodekit.loss_count import LossCount
 from dextar_control.nodekit.node import DextarNode, Take, qos
 
 HISTORY = 10000  # samples each reader holds between two polls: 10 s at 1 kHz
-SLOW = (
-    100.0  # Hz: a slower topic is always asked for reliably, which costs nothing there
-)
+# Hz; a slower topic is always asked for reliably, which costs nothing there.
+SLOW = 100.0
 
 PARAMETER_EVENTS = Topic(
     "/parameter_events",
     "rcl_interfaces/msg/ParameterEvent",
     "all nodes",
+    "It tells of live parameter changes.",
     HISTORY,
-    False,
-    0.0,
-    "live parameter changes",
+    rate=0.0,
 )
 ALONGSIDE = (
     PARAMETER_EVENTS,
@@ -34,13 +31,13 @@ ALONGSIDE = (
         "/rosout",
         "rcl_interfaces/msg/Log",
         "all nodes",
+        "It tells what the nodes log.",
         HISTORY,
-        True,
-        0.0,
-        "what the nodes log",
+        latched=True,
+        rate=0.0,
     ),
 )
-"""Recorded beside the contract's topics."""
+"""The topics that are recorded beside those of the contract."""
 
 
 class RecordedTopic:
@@ -50,7 +47,6 @@ class RecordedTopic:
         node: that subscribes, by polling.
         topic: name, type and whether it is latched.
         profile: of the subscription.
-        listen: is handed each recorded sample's bytes and receive time (ns).
 
     Attributes:
         name: in full.
@@ -66,7 +62,6 @@ class RecordedTopic:
         node: DextarNode,
         topic: Topic,
         profile: QoSProfile,
-        listen: Callable[[bytes, int], None] | None = None,
     ) -> None:
         definition(topic.type), type_hash(topic.type)
         package, _, short = topic.type.split("/")
@@ -78,7 +73,6 @@ class RecordedTopic:
         self.name: str = subscription.topic_name
         self.type = topic.type
         self.message_type = message_type
-        self.listen = listen
         self.losses = LossCount(lambda: node.count_publishers(self.name))
         self.take: Take = subscription.handle.take_message
         self.kept: deque[SerializedMessage] | None = (
@@ -108,5 +102,5 @@ def found_topic(
     latched = bool(offered) and all(
         profile.durability.name == "TRANSIENT_LOCAL" for profile in offered
     )
-    topic = Topic(name, type_name, "", HISTORY, latched, 0.0, "")
+    topic = Topic(name, type_name, "", "", HISTORY, latched, 0.0)
     return topic, qos(topic, reliable=reliable, depth=HISTORY)

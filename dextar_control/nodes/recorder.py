@@ -21,7 +21,7 @@ from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import DIAGNOSTICS, TOPICS
 from dextar_control.nodekit.node import DextarNode, run_node
-from dextar_control.nodekit.parameter_snapshot import ParameterSnapshot
+from dextar_control.nodekit.parameter_snapshot import ParameterSnapshot, unanswered
 from dextar_control.nodekit.scheduling import stand_back
 from dextar_control.nodes.recorded_topics import (
     ALONGSIDE,
@@ -37,6 +37,13 @@ POLL_PERIOD = 0.02  # s
 ASK_PERIOD = 0.05  # s between two asks for the other nodes' parameters
 LAST_WORDS = 0.3  # s given to samples under way when the recording ends
 LEAST_SPLIT = 65536  # bytes
+# Samples that tell of the run, too.
+HEARD = {
+    DIAGNOSTICS.name: BagRecording.hear_diagnostics,
+    PARAMETER_EVENTS.name: BagRecording.hear_parameter_event,
+}
+# What a topic raises whose type is not installed, or is none.
+NO_TOPIC = (DextarError, ModuleNotFoundError, AttributeError, ValueError)
 
 SPECS = (
     Parameter(
@@ -135,17 +142,9 @@ class RecorderNode(DextarNode):
         self._recording: BagRecording | None = None
         self._made: Counter[Path] = Counter()
         self._unnumbered: set[str] = set()
-        listeners = {
-            DIAGNOSTICS.name: self._on_diagnostics,
-            PARAMETER_EVENTS.name: self._on_parameter_event,
-        }
+        reliable = self.values["reliable"]
         self._topics = [
-            RecordedTopic(
-                self,
-                topic,
-                profile_of(topic, self.values["reliable"]),
-                listeners.get(topic.name),
-            )
+            RecordedTopic(self, topic, profile_of(topic, reliable))
             for topic in (*TOPICS, *ALONGSIDE)
         ]
         self._wanted = self.values["extra_topics"].split()
@@ -185,25 +184,18 @@ class RecorderNode(DextarNode):
         count = 0
         recording = self._recording
         for recorded in self._topics:
-            message_type, take, name, losses = (
-                recorded.message_type,
-                recorded.take,
-                recorded.name,
-                recorded.losses,
-            )
+            message_type, take = recorded.message_type, recorded.take
+            name, losses = recorded.name, recorded.losses
+            hear = HEARD.get(recorded.topic.name)
             while (taken := take(message_type, True)) is not None:
                 count += 1
                 data, info = taken
                 number = info["publication_sequence_number"]
                 losses.see(number)
                 received = info["received_timestamp"] or time.time_ns()
-                sample = SerializedMessage(
-                    received,
-                    name,
-                    info["source_timestamp"],
-                    number or losses.received,
-                    data,
-                )
+                number = number or losses.received
+                sent = info["source_timestamp"]
+                sample = SerializedMessage(received, name, sent, number, data)
                 if recorded.kept is not None:
                     recorded.kept.append(sample)
                 if recording is None:
@@ -211,14 +203,11 @@ class RecorderNode(DextarNode):
                 if not recording.writer.has_topic(name):
                     recording.describe(recorded)
                 recording.writer.add(sample)
-                if recorded.listen is not None:
-                    recorded.listen(data, received)
-        if (
-            recording is not None
-            and recording.writer.error is not None
-            and not self.finished
-        ):
-            self.get_logger().error(str(recording.writer.error))
+                if hear is not None:
+                    hear(recording, data, received)
+        error = recording.writer.error if recording is not None else None
+        if error is not None and not self.finished:
+            self.get_logger().error(str(error))
             self.finish(EXIT_RECORDING)
         return count
 
@@ -263,7 +252,7 @@ class RecorderNode(DextarNode):
                     f"{recorded.name}: {recorded.losses.lost} samples lost,"
                     f" {recorded.losses.received} recorded"
                 )
-        if missing := recording.missing():
+        if missing := unanswered(self._snapshots):
             self.get_logger().warning(
                 f"no parameters of {', '.join(missing)}: they never answered"
             )
@@ -321,14 +310,7 @@ class RecorderNode(DextarNode):
 
     def _parameters_missing(self) -> str:
         """Return the nodes whose parameters are not known."""
-        return (
-            " ".join(
-                snapshot.target
-                for snapshot in self._snapshots
-                if snapshot.values is None
-            )
-            or "none"
-        )
+        return " ".join(unanswered(self._snapshots)) or "none"
 
     def _ask(self) -> None:
         """Ask for the other nodes' parameters; that some are known, or no longer, is
@@ -370,23 +352,10 @@ class RecorderNode(DextarNode):
                 self._topics.append(
                     RecordedTopic(self, *found_topic(name, types[resolved][0], offered))
                 )
-            except (
-                DextarError,
-                ModuleNotFoundError,
-                AttributeError,
-                ValueError,
-            ) as error:
+            except NO_TOPIC as error:
                 self.get_logger().error(
                     f"cannot record {resolved} of type {types[resolved][0]}: {error}"
                 )
-
-    def _on_diagnostics(self, data: bytes, _: int) -> None:
-        if self._recording is not None:
-            self._recording.hear_diagnostics(data)
-
-    def _on_parameter_event(self, data: bytes, received: int) -> None:
-        if self._recording is not None:
-            self._recording.hear_parameter_event(data, received)
 
     def _publish_diagnostics(self) -> None:
         values: dict[str, object] = {"recording": False}

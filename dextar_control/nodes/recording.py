@@ -21,7 +21,7 @@ from dextar_control.bags.writer import BagWriter
 from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.topics import TOPICS
 from dextar_control.nodekit.node import DextarNode
-from dextar_control.nodekit.parameter_snapshot import ParameterSnapshot
+from dextar_control.nodekit.parameter_snapshot import ParameterSnapshot, unanswered
 from dextar_control.nodekit.qos_profiles import describe
 from dextar_control.nodes.recorded_topics import RecordedTopic
 
@@ -92,7 +92,7 @@ class BagRecording:
             recorded.name, recorded.type, profiles, standing=recorded.kept is not None
         )
 
-    def hear_diagnostics(self, data: bytes) -> None:
+    def hear_diagnostics(self, data: bytes, _: int) -> None:
         """Keep the plan's certificate, which diagnostics tell."""
         own = self._node.get_namespace().rstrip("/")
         for status in deserialize_message(data, DiagnosticArray).status:
@@ -122,7 +122,7 @@ class BagRecording:
         self._seconds += 1
         record = self.record
         known = (
-            self.missing(),
+            unanswered(self._snapshots),
             dict(record.labels),
             record.certificate,
             len(record.changes),
@@ -192,12 +192,6 @@ class BagRecording:
             self.writer.dropped.values()
         )
 
-    def missing(self) -> list[str]:
-        """Return the nodes whose parameters are not known."""
-        return [
-            snapshot.target for snapshot in self._snapshots if snapshot.values is None
-        ]
-
     def _counts(self) -> dict[str, dict[str, int | None]]:
         """Return, per topic, samples received, lost on the way (None: not numbered) and
         dropped before the disk.
@@ -227,7 +221,11 @@ class BagRecording:
             if recorded.topic in TOPICS
         }
         return self.record.texts(
-            self._parameters(), resolved, self._counts(), self.missing(), ended
+            self._parameters(),
+            resolved,
+            self._counts(),
+            unanswered(self._snapshots),
+            ended,
         )
 
 

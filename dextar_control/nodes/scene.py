@@ -41,14 +41,8 @@ PHASE_COLORS: dict[str, Color] = {
     "fault": KERNEL,
 }
 
-LINK, LINE, FINE, DOT, JOINT_SIZE, EFFECTOR = (
-    6e-3,
-    1.5e-3,
-    1.0e-3,
-    5e-3,
-    9e-3,
-    8e-3,
-)  # m
+LINK, LINE, FINE = 6e-3, 1.5e-3, 1.0e-3  # m
+DOT, JOINT_SIZE, EFFECTOR = 5e-3, 9e-3, 8e-3  # m
 KERNEL_LENGTH = 0.03  # m
 KERNEL_SHAFT, KERNEL_HEAD = 2.5e-3, 6e-3  # m
 FAINTEST = 0.15  # opacity of t_s far from the locus
@@ -62,10 +56,8 @@ SCALARS = {
 }
 LAYER = 1e-3  # m between what lies over each other, towards the viewer
 PATH_POINTS = 1500
-STILL_LIFETIME, MOVING_LIFETIME = (
-    4.0,
-    1.0,
-)  # s, after which a display forgets them when this node is gone
+# s, after which a display forgets them when this node is gone.
+STILL_LIFETIME, MOVING_LIFETIME = 4.0, 1.0
 
 
 class View(NamedTuple):
@@ -171,11 +163,8 @@ class Scene:
         """
         x = self.platform(view)
         points, opacity = self.linkage(view.q_a, x), 0.4 if view.stale else 1.0
-        proximal, distal, elbows = (
-            points[[0, 1, 4, 3]],
-            points[[1, 2, 3, 2]],
-            points[[1, 3]],
-        )
+        proximal, distal = points[[0, 1, 4, 3]], points[[1, 2, 3, 2]]
+        elbows = points[[1, 3]]
         phase = self.phase(view)
         markers = [
             _marker(

@@ -48,15 +48,12 @@ class Statistics:
             "stalls",
         )
         self.counts = dict.fromkeys(names, 0)
-        self._intervals, self._latencies, self._work = (
-            Window(WINDOW),
-            Window(WINDOW),
-            Window(WINDOW),
-        )
-        self._ages: deque[float] = deque(
-            maxlen=RECENT
-        )  # s from the sending of the recent states to their answers
-        self._gaps: deque[float] = deque(maxlen=RECENT)  # s between their arrivals
+        self._intervals, self._latencies = Window(WINDOW), Window(WINDOW)
+        self._work = Window(WINDOW)
+        # s from the sending of the recent states to their answers, and between their
+        # arrivals.
+        self._ages: deque[float] = deque(maxlen=RECENT)
+        self._gaps: deque[float] = deque(maxlen=RECENT)
         self._arrival = math.nan
         self._before: deque[dict[str, int]] = deque([dict(self.counts)], maxlen=LATELY)
         self._reported = (0, 0)
@@ -154,10 +151,8 @@ class Statistics:
         delays = [age - min(self._ages) for age in self._ages]
         gaps = [gap - period for gap in self._gaps]
         for numbers, what in ((delays, "answers"), (gaps, "states")):
-            late, worst = (
-                sum(number > period for number in numbers),
-                max(numbers, default=0.0),
-            )
+            late = sum(number > period for number in numbers)
+            worst = max(numbers, default=0.0)
             if late > MOST_LATE * len(numbers) or worst > LONG * period:
                 told.append(
                     f"{late} of the last {len(numbers)} {what}"
@@ -191,9 +186,7 @@ class Statistics:
         found = self._intervals.regularity()
         saturated_before, states_before = self._reported
         self._reported = (saturated, self.counts["states"])
-        more = (
-            saturated - saturated_before if saturated >= saturated_before else saturated
-        )
+        more = saturated - (saturated_before if saturated >= saturated_before else 0)
         ticks = self.counts["states"] - states_before
         self._before.append(dict(self.counts))
         values: dict[str, object] = {

@@ -190,8 +190,8 @@ class TrajectoryServer(DextarNode):
         return work
 
     def _trip(self, origin: Array, progress: Progress) -> Callable[[], ServedTrip]:
-        """A job: the planned trip with the way from where the robot stands before it,
-        as a message.
+        """Return a job: the planned trip with the way from where the robot stands
+        before it, as a message.
         """
         plan_now = self._plan_of(self._task, progress)
         speed, period = self.values["approach_speed"], self.values["sample_period"]
@@ -235,10 +235,8 @@ class TrajectoryServer(DextarNode):
         return x if np.isfinite(x).all() else np.array(self._task.start)
 
     def _publish(self, served: ServedTrip) -> str:
-        self._planned, self._certificate = (
-            (served.task, served.plan),
-            served.certificate,
-        )
+        self._planned = served.task, served.plan
+        self._certificate = served.certificate
         self._trajectory_publisher.publish(served.message)
         self._served += 1
         self._error = ""
@@ -270,7 +268,9 @@ class TrajectoryServer(DextarNode):
             )
 
     def _why_not(self) -> str:
-        """Why the controller would not take a trajectory now; empty when it would."""
+        """Return why the controller would not take a trajectory now; empty when it
+        would.
+        """
         return why_not(self._controller_name, self._controller)
 
     @property
@@ -286,8 +286,8 @@ class TrajectoryServer(DextarNode):
     def _on_first_plan(
         self, planned: tuple[Task, Plan] | None, error: DextarError | None
     ) -> None:
-        """A server whose parameters have no plan ends as one with a wrong parameter
-        does.
+        """Take the first plan; a server whose parameters have no plan ends as one with
+        a wrong parameter does.
         """
         if error is not None:
             self._error = str(error)
@@ -306,11 +306,8 @@ class TrajectoryServer(DextarNode):
 
     def _take(self, planned: tuple[Task, Plan] | None) -> None:
         if planned is not None:
-            self._planned, self._certificate, self._error = (
-                planned,
-                planned[1].certificate,
-                "",
-            )
+            self._planned, self._error = planned, ""
+            self._certificate = planned[1].certificate
             self._diagnose(whole=True)
 
     def _note(self, error: DextarError | None) -> str:

@@ -37,10 +37,8 @@ class Access:
             token: that it carries.
         """
         try:
-            asker, name = (
-                urlsplit(origin or "").netloc,
-                urlsplit(f"//{host}").hostname or "",
-            )
+            asker = urlsplit(origin or "").netloc
+            name = urlsplit(f"//{host}").hostname or ""
         except ValueError:  # brackets that do not close
             return (
                 "the request names no host and port: open the address that the panel"

@@ -15,7 +15,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
 from tornado.httpserver import HTTPServer
 from tornado.netutil import bind_sockets
 from tornado.web import Application, Finish, RequestHandler
@@ -23,18 +22,13 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from dextar_control.contract import style
 from dextar_control.contract.errors import DextarError, ParameterError
-from dextar_control.contract.plain_data import ParameterValue
+from dextar_control.contract.plain_data import ParameterValue, as_plain
 from dextar_control.panel.access import Access
 
 Answer = Callable[[bool, str, Mapping[str, object]], None]
 PORTS_TRIED = 10  # from the wanted one on
-PING, PATIENCE = (
-    6.0,
-    6.0,
-    # s between questions to a page whether it is there; s until one that is silent
-    # counts
-    # as gone
-)
+PING = 6.0  # s between questions to a page whether it is there
+PATIENCE = 6.0  # s until a page that is silent counts as gone
 LONGEST_MESSAGE = 65536  # bytes of a command
 MOST_VIEWERS = 100
 MOST_OWED = 200  # messages that a page has not taken yet
@@ -79,17 +73,7 @@ class Backend(Protocol):
 
 def to_json(value: object) -> str:
     """Return JSON that every browser reads: a number that is not finite is null."""
-    return json.dumps(_plain(value), separators=(",", ":"), allow_nan=False)
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    return json.dumps(as_plain(value), separators=(",", ":"), allow_nan=False)
 
 
 class PanelServer:
@@ -111,9 +95,8 @@ class PanelServer:
         self.backend, self.access = backend, Access(host)
         self.pages: list[StreamHandler] = []
         self.driver: StreamHandler | None = None
-        self.kept: dict[
-            str, str
-        ] = {}  # the last message of each kind that a page needs which comes later
+        # The last message of each kind that a page needs which comes later.
+        self.kept: dict[str, str] = {}
         logging.getLogger("tornado.access").setLevel(logging.ERROR)
         application = Application(
             [
@@ -130,11 +113,7 @@ class PanelServer:
         self._sockets, self.moved = _bound(host, port)
         self._http = HTTPServer(application)
         number = self._sockets[0].getsockname()[1]
-        name = {
-            "0.0.0.0": socket.gethostname(),
-            "::": socket.gethostname(),
-            "": socket.gethostname(),
-        }.get(host, host)
+        name = socket.gethostname() if host in ("0.0.0.0", "::", "") else host
         query = f"?token={self.access.token}" if self.access.token else ""
         self.address = f"http://{f'[{name}]' if ':' in name else name}:{number}/{query}"
 
@@ -213,12 +192,11 @@ def _bound(host: str, port: int) -> tuple[list[socket.socket], bool]:
             raise ParameterError(
                 f"parameter 'host' = {host!r}, port {number} cannot be bound to: {why}"
             ) from error
-        if (
-            not number and len(sockets) > 1
-        ):  # localhost is two addresses, each with a free port of its own
-            for extra in sockets[1:]:
-                extra.close()
-        return sockets[:1] if not number else sockets, number != port
+        if number:
+            return sockets, number != port
+        for extra in sockets[1:]:  # localhost is two addresses, each with its free port
+            extra.close()
+        return sockets[:1], False
     others = last - port - 1
     raise ParameterError(
         f"parameter 'port' = {port}; it and the {others} after it are taken on {host}:"
@@ -229,7 +207,9 @@ def _bound(host: str, port: int) -> tuple[list[socket.socket], bool]:
 class _GuardedHandler(RequestHandler):
     """Lets a request in, or refuses it with a sentence."""
 
-    server: PanelServer
+    def initialize(self, server: PanelServer) -> None:
+        """Take the server."""
+        self.server = server
 
     def prepare(self) -> None:
         """Refuse what is not let in."""
@@ -258,7 +238,8 @@ class PageHandler(_GuardedHandler):
 
     def initialize(self, server: PanelServer, file: str = "") -> None:
         """Take the server, and the file unless the address names it."""
-        self.server, self._file = server, file
+        super().initialize(server)
+        self._file = file
 
     def prepare(self) -> None:
         """Let style and script out without a token, which they do not carry; the page
@@ -271,19 +252,11 @@ class PageHandler(_GuardedHandler):
     def get(self, name: str = "") -> None:
         """Send a file of ``static``; the style begins with the package's own."""
         name = self._file or name
-        text = (
-            files("dextar_control.panel")
-            .joinpath("static")
-            .joinpath(name)
-            .read_text(encoding="utf-8")
-        )
-        self.set_header(
-            "Content-Type",
-            {"html": "text/html", "js": "text/javascript", "css": "text/css"}[
-                name.rpartition(".")[2]
-            ]
-            + "; charset=utf-8",
-        )
+        folder = files("dextar_control.panel").joinpath("static")
+        text = folder.joinpath(name).read_text(encoding="utf-8")
+        suffix = name.rpartition(".")[2]
+        kind = "javascript" if suffix == "js" else suffix
+        self.set_header("Content-Type", f"text/{kind}; charset=utf-8")
         self.finish(f"{style.css()}\n{text}" if name.endswith(".css") else text)
 
 
@@ -292,20 +265,12 @@ class WhyHandler(_GuardedHandler):
     where it would not be.
     """
 
-    def initialize(self, server: PanelServer) -> None:
-        """Whose."""
-        self.server = server
-
     def get(self) -> None:
         """Answer nothing: the request is let in."""
 
 
 class ReportHandler(_GuardedHandler):
     """Gives out the page of the last run."""
-
-    def initialize(self, server: PanelServer) -> None:
-        """Whose."""
-        self.server = server
 
     async def get(self) -> None:
         """Send it as it was made; its scripts may draw, but not ask the panel."""
@@ -325,7 +290,7 @@ class StreamHandler(_GuardedHandler, WebSocketHandler):
 
     def initialize(self, server: PanelServer) -> None:
         """Take the server."""
-        self.server = server
+        super().initialize(server)
         self._flight: asyncio.Future[None] | None = None
         self._owed: dict[str, str] = {}
 

@@ -46,17 +46,10 @@ def trouble_and_remedy(
         others = ", ".join(sorted(set(nodes) - {"panel"}))
         robot = f" in {namespace}" if namespace.strip("/") else ""
         heard = f"; heard of: {others}" if others else ""
-        return (
-            (
-                f"No controller is heard of{robot}{heard}. Start it: this page goes on"
-                " by itself."
-            ),
-            "",
-        )
+        why = f"No controller is heard of{robot}{heard}"
+        return f"{why}. Start it: this page goes on by itself.", ""
     lifecycle, phase, reason = (
-        told.get("lifecycle", ""),
-        told.get("phase", ""),
-        told.get("reason", ""),
+        told.get(key, "") for key in ("lifecycle", "phase", "reason")
     )
     if lifecycle != "active":
         return (
@@ -85,15 +78,12 @@ def trouble_and_remedy(
         )
     if told.get("enabling") == "waiting":
         trouble = told.get("last_trouble", "")
+        last = f" (last trouble: {trouble})" if trouble else ""
         return (
-            (
-                "The controller waits for joint states to be healthy,"
-                f" {told.get('healthy', '0')} s so"
-                f" far{f' (last trouble: {trouble})' if trouble else ''}; it gives"
-                " torque by itself then."
-            ),
-            "",
-        )
+            "The controller waits for joint states to be healthy,"
+            f" {told.get('healthy', '0')} s so far{last}; it gives torque by itself"
+            " then."
+        ), ""
     if told.get("enabling", "").startswith("refused"):
         return f"Torque was {told['enabling']}.", "enable"
     return f"The torque is switched off{because}.", "enable"

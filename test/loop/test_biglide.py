@@ -12,7 +12,7 @@ import biglide as biglide_module
 import casadi as ca
 import numpy as np
 import pytest
-from plain_loop import ExactPlant, PyBulletPlant, drive
+from plain_loop import PlantOf, drive, exact_plant, pybullet_plant
 
 from dextar_control.contract.errors import (
     GeometryError,
@@ -182,9 +182,9 @@ def test_the_locus_lies_inside_the_workspace_and_can_be_named_by_a_place_near_it
         nearest_point(biglide.ROBOT, np.array([1.0, 0.0]))
 
 
-@pytest.mark.parametrize("plant_of", [ExactPlant, PyBulletPlant])
+@pytest.mark.parametrize("plant_of", [exact_plant, pybullet_plant])
 def test_it_crosses_there_and_back_in_a_plain_loop(
-    biglide: Any, trip: Plan, plant_of: type[ExactPlant] | type[PyBulletPlant]
+    biglide: Any, trip: Plan, plant_of: PlantOf
 ) -> None:
     certificate = trip.certificate
     assert (certificate.residuals <= PLAN_RESIDUAL).all() and len(

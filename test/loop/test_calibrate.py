@@ -17,6 +17,7 @@ import pytest
 import synthetic_run as made
 import yaml
 from browser import looks_right
+from closed_loop import running
 
 from dextar_control.analysis.load import load_run
 from dextar_control.bags.writer import BagWriter, SerializedMessage
@@ -227,11 +228,7 @@ def driven(numbers: np.ndarray) -> np.ndarray:
     start = loop.model.place(tour().trajectory.at(0.0).x)
     rig.reset_joints(start.q_a, round(np.sign(start.s[0])))
     loop.schedule(tour().trajectory, tour().certificate)
-    rows = []
-    for _ in range(len(path())):
-        sample = rig.read()
-        rows.append(sample.q_a)
-        rig.write(loop.step(sample.time, sample.q_a))
+    rows = [sample.q_a for sample, _ in running(loop, rig, count=len(path()))]
     rig.close()
     return np.array(rows)
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from closed_loop import running
 
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
@@ -146,12 +147,9 @@ def test_a_robot_that_recovers_from_a_push_goes_on(
     rig.reset_joints(loop.model.inverse_geometric_model(trip.trajectory.at(0.0).x), 1)
     loop.schedule(trip.trajectory, trip.certificate)
     along = loop.model.place(trip.trajectory.at(crossing).x).t_s
-    while rig.time < trip.trajectory.duration + 0.2:
-        sample = rig.read()
-        assert sample is not None
+    for sample, _ in running(loop, rig, until=trip.trajectory.duration + 0.2):
         if crossing - 0.022 <= sample.time < crossing - 0.002:
             rig.strike(push * rig.period * along)
-        rig.write(loop.step(sample.time, sample.q_a))
     assert (loop.phase, loop.completed) == (Phase.HOLD, 1), loop.reason
     assert (
         np.hypot(*(rig.truth().x - trip.trajectory.at(trip.trajectory.duration).x))

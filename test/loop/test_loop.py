@@ -5,11 +5,11 @@ PyBullet plant.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
+import closed_loop
 import numpy as np
 import pytest
-from closed_loop import s_of
+from closed_loop import Bare, Run, advance, running, s_of
 
 from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
 from dextar_control.contract.resources import config_file
@@ -27,7 +27,6 @@ from dextar_control.planning.planner import (
 )
 from dextar_control.planning.trajectory import Trajectory
 from dextar_sim.plant import Plant
-from dextar_sim.sensors import Encoder
 
 RESOLUTION = 2**17
 MAX_ERROR = 0.3e-3  # m, true, throughout
@@ -39,48 +38,18 @@ REST_SPEED = 0.1  # rad/s: the joints of a robot that was braked
 AFTER = 0.2  # s of holding after the trip
 
 
-class Run(NamedTuple):
-    loop: ControlLoop
-    error: np.ndarray  # true, m
-    tau: np.ndarray
-    s: np.ndarray  # of the reference's side as estimated
-    x: np.ndarray
-    phases: list[Phase]
-
-
 def drive(
     robot: RobotParameters,
     plan: Plan,
     law: str = "consistent",
     resolution: int = RESOLUTION,
-    **changes: object,
+    **settings: object,
 ) -> Run:
-    """plan -> estimate -> control -> plant, without ROS."""
-    plant = Plant(robot)
-    try:
-        plant.reset(plan.trajectory.at(0.0).x)
-        encoder = Encoder(
-            1e-3,
-            resolution=resolution,
-            velocity_cutoff=100.0,
-            position_noise=0.0,
-            seed=0,
-        )
-        loop = ControlLoop(robot, default_settings(law=law, **changes), 1)
-        loop.accept(plan.trajectory)
-        rows, phases = [], []
-        for _ in range(round((plan.trajectory.duration + AFTER) * 1000)):
-            state = plant.state()
-            tau = loop.step(state.time, encoder.read(state.q_a)[0])
-            tick = loop.tick
-            assert tick is not None
-            rows.append([np.hypot(*(tick.x_ref - state.x)), *tau, tick.s, *state.x])
-            phases.append(tick.phase)
-            plant.step(tau)
-    finally:
-        plant.close()
-    table = np.array(rows)
-    return Run(loop, table[:, 0], table[:, 1:3], table[:, 3], table[:, 4:6], phases)
+    """A trip behind encoders."""
+    settings["law"] = law
+    return closed_loop.drive(
+        robot, plan, settings=settings, encoder_resolution=resolution
+    )
 
 
 @pytest.fixture(scope="module")
@@ -205,14 +174,13 @@ def test_a_robot_built_a_tenth_of_a_millimetre_off_still_crosses_with(
     )
     plant.reset_joints(loop.model.inverse_geometric_model(trip.trajectory.at(0.0).x), 1)
     loop.accept(trip.trajectory)
-    for _ in range(1460):
-        state = plant.state()
-        plant.step(loop.step(state.time, state.q_a))
-        worst = max(worst, float(np.hypot(*(loop.tick.x_ref - state.x))))
+    for _ in running(loop, Bare(plant), count=1460):
+        error = float(np.hypot(*(loop.tick.x_ref - plant.state().x)))
+        worst = max(worst, error)
     plant.close()
     assert loop.completed == 1
     assert worst < 5e-3
-    assert np.hypot(*(loop.tick.x_ref - state.x)) < 1e-3
+    assert error < 1e-3
 
 
 def test_phases_follow_the_crossings(fast_run: Run) -> None:
@@ -324,14 +292,11 @@ def test_a_stop_brakes_away_from_the_locus_and_finishes_a_crossing(
         plant.reset(trip.trajectory.at(0.0).x)
         loop = ControlLoop(robot, default_settings(), 1)
         loop.accept(trip.trajectory)
-        for tick in range(3000):
-            state = plant.state()
-            tau = loop.step(state.time, state.q_a)
+        for tick, (_, tau) in enumerate(running(loop, Bare(plant), count=3000)):
             if tick == round(when * 1000):
                 loop.stop()
                 assert loop.phase == expected
             assert np.abs(tau).max() <= robot.max_torque
-            plant.step(tau)
         assert loop.phase == Phase.SAFE_STOP
         assert (tau == 0.0).all()
         assert np.abs(plant.state().q_a_dot).max() < 0.1
@@ -347,9 +312,7 @@ def _drive_until(
     )
     plant.reset(trip.trajectory.at(0.0).x)
     loop.accept(trip.trajectory)
-    while plant.state().time < time:
-        state = plant.state()
-        plant.step(loop.step(state.time, state.q_a))
+    advance(loop, Bare(plant), until=time)
     return plant, loop
 
 
@@ -374,17 +337,12 @@ def test_after_a_fault_on_the_far_side_the_estimate_is_still_the_robot(
 ) -> None:
     plant, loop = _drive_until(robot, trip, 0.65)
     loop.fault("tried") if how == "fault" else loop.disable()
-    for _ in range(50):
-        state = plant.state()
-        plant.step(loop.step(state.time, state.q_a))
+    advance(loop, Bare(plant), count=50)
     assert loop.tick.assembly_mode == -1
     np.testing.assert_allclose(loop.tick.x_hat, plant.state().x, atol=1e-4)
     loop.reset()
     loop.enable()
-    for _ in range(200):
-        state = plant.state()
-        tau = loop.step(state.time, state.q_a)
-        plant.step(tau)
+    tau = advance(loop, Bare(plant), count=200)
     assert loop.phase == Phase.HOLD
     assert np.abs(tau).max() < 0.02
     np.testing.assert_allclose(loop.tick.x_ref, plant.state().x, atol=5e-4)
@@ -438,13 +396,11 @@ def test_an_impulse_against_the_motion_is_judged_as_it_was(
     velocity = plant.state().x_dot
     plant.apply_impulse(-impulse * velocity / np.hypot(*velocity))
     taus, judged, lacking = [], 0.0, 0.0
-    for _ in range(2500):
-        state = plant.state()
-        taus.append(loop.step(state.time, state.q_a))
+    for _, tau in running(loop, Bare(plant), count=2500):
+        taus.append(tau)
         lacking = max(lacking, loop.lacking)
         if loop.passed[0].verdict is not Verdict.UNDECIDED and judged == 0.0:
-            judged = s_of(loop.model, state.x)
-        plant.step(taus[-1])
+            judged = s_of(loop.model, plant.state().x)
     wrong = Verdict.BOUNCED if judged < 0.0 else Verdict.CROSSED
     assert loop.passed[0].verdict is not wrong
     assert (
@@ -544,19 +500,10 @@ def test_the_mock_up_crosses_too() -> None:
 
 
 def test_lost_samples_do_not_end_the_trip(robot: RobotParameters, trip: Plan) -> None:
-    generator, plant = np.random.default_rng(4), Plant(robot)
-    plant.reset(trip.trajectory.at(0.0).x)
-    loop, tau, worst = ControlLoop(robot, default_settings(), 1), np.zeros(2), 0.0
-    loop.accept(trip.trajectory)
-    for _ in range(1400):
-        state = plant.state()
-        if generator.random() > 0.2:
-            tau = loop.step(state.time, state.q_a)
-            worst = max(worst, float(np.hypot(*(loop.tick.x_ref - state.x))))
-        plant.step(tau)
-    plant.close()
-    assert loop.phase == Phase.HOLD
-    assert worst < 1e-3
+    run = closed_loop.drive(robot, trip, sample_loss=0.2, seed=4)
+    assert len(run.time) < 850.0 * run.time[-1]
+    assert run.loop.phase == Phase.HOLD
+    assert run.error.max() < 1e-3
 
 
 def test_another_working_mode_is_refused(robot: RobotParameters, trip: Plan) -> None:
@@ -608,12 +555,9 @@ def test_a_robot_whose_estimate_leaves_the_workspace_is_braked_and_of_no_known_s
     plant.apply_impulse([0.05, 0.08])
     plant.step([0.0, 0.0])
     loop.estimator.observer.main.x = [0.0, 0.175]  # out of the legs' reach
-    for _ in range(500):
-        state = plant.state()
-        tau = loop.step(state.time, state.q_a)
+    for _, tau in running(loop, Bare(plant), count=500):
         assert np.isfinite(tau).all()
         assert loop.phase is Phase.SAFE_STOP and not loop.mode_known
-        plant.step(tau)
     assert np.abs(plant.state().q_a_dot).max() < REST_SPEED
     plant.close()
 
@@ -649,9 +593,7 @@ def test_a_moving_robot_is_not_enabled(robot: RobotParameters, trip: Plan) -> No
     plant.reset(trip.trajectory.at(0.0).x)
     loop = ControlLoop(robot, default_settings(), 1, enabled=False)
     plant.apply_impulse([0.02, 0.04])
-    for _ in range(30):
-        state = plant.state()
-        plant.step(loop.step(state.time, state.q_a))
+    advance(loop, Bare(plant), count=30)
     with pytest.raises(
         StateError,
         match=(

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from closed_loop import s_of, state_of
+from closed_loop import advance, running, s_of, state_of
 from oracle import Oracle
 from safe_stop_study import REST
 
@@ -164,11 +164,10 @@ def _tripped(
     )
     rig.reset_joints(loop.model.inverse_geometric_model(trip.trajectory.at(0.0).x), 1)
     loop.accept(trip.trajectory)
-    while loop.phase is not Phase.SAFE_STOP:
-        if rig.time >= when:
-            loop.configure(replace(loop.settings, max_tracking_error=1e-12))
-        sample = rig.read()
-        rig.write(loop.step(sample.time, sample.q_a))
+    advance(loop, rig, until=when)
+    loop.configure(replace(loop.settings, max_tracking_error=1e-12))
+    advance(loop, rig, count=1)
+    assert loop.phase is Phase.SAFE_STOP
     return rig, loop
 
 
@@ -201,8 +200,7 @@ def test_a_crossing_that_was_made_stays_so_when_the_robot_coasts_through_the_nex
     rig, loop = _tripped(robot, trip, float(trip.certificate.crossing_times[1]) - 0.04)
     assert s_of(loop.model, rig.truth().x) < 0.0
     while loop.stopped is None:
-        sample = rig.read()
-        rig.write(loop.step(sample.time, sample.q_a))
+        advance(loop, rig, count=1)
     assert s_of(loop.model, rig.truth().x) > 0.0  # back on the side of the start
     assert [passed.verdict for passed in loop.passed] == [
         Verdict.CROSSED,
@@ -219,14 +217,13 @@ def test_an_estimator_that_does_not_know_the_side_is_braked_in_the_joints_and_sa
         robot, trip, float(trip.certificate.crossing_times[0]), estimator="dgm"
     )
     braked = False
-    while loop.stopped is None:
-        sample = rig.read()
-        tau = loop.step(sample.time, sample.q_a)
+    for _, tau in running(loop, rig):
         q_a_dot = loop.tick.estimate.q_a_dot
         if np.abs(q_a_dot).max() > FADE[1] and (tau != 0.0).any():
             np.testing.assert_allclose(tau, -SETTINGS.brake_gain * q_a_dot, atol=1e-12)
             braked = True
-        rig.write(tau)
+        if loop.stopped is not None:
+            break
     assert braked and loop.stopped.at_rest and loop.reason.endswith("side not known")
     assert np.hypot(*rig.truth().x_dot) < REST
     rig.close()
@@ -239,8 +236,7 @@ def test_a_stop_is_reset_when_it_is_over_and_not_before(
     with pytest.raises(StateError, match="the safe stop is not over"):
         loop.reset()
     while loop.stopped is None:
-        sample = rig.read()
-        rig.write(loop.step(sample.time, sample.q_a))
+        advance(loop, rig, count=1)
     loop.reset()
     assert loop.phase is Phase.IDLE
     loop.configure(SETTINGS)
@@ -257,14 +253,9 @@ def test_disabling_takes_the_torque_of_a_safe_stop_away_and_keeps_it_latched(
     rig, loop = _tripped(robot, trip, 0.28)
     torque, before = np.zeros(2), loop.reason
     while not np.abs(torque).max() > 0.0:
-        sample = rig.read()
-        torque = loop.step(sample.time, sample.q_a)
-        rig.write(torque)
+        torque = advance(loop, rig, count=1)
     loop.disable()
-    for _ in range(100):
-        sample = rig.read()
-        torque = loop.step(sample.time, sample.q_a)
-        rig.write(torque)
+    for _, torque in running(loop, rig, count=100):
         assert not torque.any()
     assert (loop.phase, loop.reason) == (
         Phase.SAFE_STOP,

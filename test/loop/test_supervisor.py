@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from closed_loop import AFTER
+from closed_loop import AFTER, running
 
 from dextar_control.contract.errors import (
     GeometryError,
@@ -33,7 +33,7 @@ from dextar_control.planning.planner import (
     plan_approach,
     plan_return_trip,
 )
-from dextar_sim.rig import Rig
+from dextar_sim.rig import ControllerInput, Rig
 
 Seen = Callable[[ControlLoop, float, np.ndarray], np.ndarray]
 # of its limit that no watch passes in a run that ends well, those with a time aside
@@ -72,26 +72,29 @@ def drive(
     rig = Rig(robot, plant="cartesian", **rig_options)
     loop = ControlLoop(known or robot, default_settings(**(settings or {})), 1)
     shares: dict[str, float] = {}
+
+    def as_seen(sample: ControllerInput) -> ControllerInput:
+        return sample._replace(q_a=seen(loop, sample.time, sample.q_a))
+
     try:
         begin = plan.trajectory.at(0.0).x if plan is not None else np.array(start)
         rig.reset_joints(loop.model.inverse_geometric_model(begin) + offset, side)
         if plan is not None:
             loop.schedule(plan.trajectory, plan.certificate)
             until = plan.trajectory.duration + AFTER
-        while rig.time < until and loop.phase not in LIMP:
-            sample = rig.read()
-            if sample is None:
-                rig.write(None)
-                continue
-            tau = loop.step(sample.time, seen(loop, sample.time, sample.q_a))
-            if loop.phase not in LIMP:
-                for name, (value, limit) in loop.watches.items():
-                    if limit > 0.0:
-                        share = limit / value if name == "locus" else value / limit
-                        shares[name] = max(shares.get(name, 0.0), share)
+        if swapped:
+            write = rig.write
+            rig.write = lambda tau: write(None if tau is None else tau[::-1])  # type: ignore[method-assign]
+        for sample, tau in running(loop, rig, until=until, seen=as_seen):
             if push is not None:
                 rig.strike(rig.period * np.asarray(push(sample.time)))
-            rig.write(tau[::-1] if swapped else tau)
+            if loop.phase in LIMP:
+                rig.write(tau)
+                break
+            for name, (value, limit) in loop.watches.items():
+                if limit > 0.0:
+                    share = limit / value if name == "locus" else value / limit
+                    shares[name] = max(shares.get(name, 0.0), share)
     finally:
         rig.close()
     return loop, rig.time, shares

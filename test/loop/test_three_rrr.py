@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plain_loop import ExactPlant, PyBulletPlant, drive, heavier
+from plain_loop import PlantOf, drive, exact_plant, heavier, pybullet_plant
 
 from dextar_control.analysis.plan_figure import draw_plan
 from dextar_control.contract.errors import (
@@ -41,8 +41,7 @@ PLACES_OF_BODIES = (
     [-0.089, -0.07, -0.023],
     [-0.073, 0.021, -0.041],
 )  # m, near which bodies cross too
-PLANTS = ExactPlant, PyBulletPlant
-PlantOf = type[ExactPlant] | type[PyBulletPlant]
+PLANTS = exact_plant, pybullet_plant
 SHARES = 1.0, 0.8, 1.2  # of the known masses and inertias
 MAX_ERROR, MAX_ERROR_MASSES = (
     0.1e-3,
@@ -193,7 +192,7 @@ def test_it_crosses_the_other_way_round_on_bodies(
         three_rrr, nearest_point(three_rrr, np.array(near)), -1, None, 0.1
     )
     for share in SHARES:
-        crosses(three_rrr, plan, share, PyBulletPlant, -1.0)
+        crosses(three_rrr, plan, share, pybullet_plant, -1.0)
 
 
 @pytest.mark.parametrize("plant_of", PLANTS)

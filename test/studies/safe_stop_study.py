@@ -24,7 +24,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 
-from closed_loop import s_of
+from closed_loop import advance, running, s_of
 
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, load_robot
@@ -130,10 +130,8 @@ def stopped(
         finished = False
     rows: list[list[float]] = []
     over, limit, power = np.nan, loop.torque_limit, []
-    while np.isnan(over) or rig.time < over + AFTER:
-        sample, truth = rig.read(), rig.truth()
-        assert sample is not None
-        tau = loop.step(sample.time, sample.q_a)
+    for _, tau in running(loop, rig):
+        truth = rig.truth()
         rows.append(
             [
                 rig.time - begin,
@@ -146,7 +144,8 @@ def stopped(
             power.append(float(tau @ truth.q_a_dot))
         if np.isnan(over) and loop.stopped is not None:
             over = rig.time
-        rig.write(tau)
+        if rig.time + rig.period >= over + AFTER:
+            break
     table, tick = np.array(rows), loop.tick
     assert tick is not None
     moving, pushing = (
@@ -226,9 +225,7 @@ def study(
                 ]
                 waiting.pop(0)
                 continue
-            sample = rig.read()
-            assert sample is not None
-            rig.write(loop.step(sample.time, sample.q_a))
+            advance(loop, rig, count=1)
         rig.close()
     return rows
 

@@ -22,7 +22,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 
-from plain_loop import PERIOD, ExactPlant, PyBulletPlant, Run, drive, heavier
+from plain_loop import PERIOD, Run, drive, exact_plant, heavier, pybullet_plant
 
 from dextar_control.contract.resources import config_file
 from dextar_control.control.verdicts import Verdict
@@ -55,7 +55,7 @@ def main() -> None:
         action="store_true",
         help="on PyBullet's bodies instead of the exact plant",
     )
-    plant_of = PyBulletPlant if parser.parse_args().pybullet else ExactPlant
+    plant_of = pybullet_plant if parser.parse_args().pybullet else exact_plant
     robot = load_any_robot(config_file("three_rrr.yaml"))
     found: dict[float, list[tuple[bool, float, float, int]]] = {
         share: [] for share in SHARES

@@ -1,23 +1,120 @@
-"""plan -> estimate -> control -> rig in a plain ``for``, and blows to strike the robot
-with.
+"""The one closed loop of tests and studies: plan -> estimate -> control -> rig in a plain
+``for``; and blows to strike the robot with.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
+from dextar_control.control.phases import Phase
 from dextar_control.estimation.estimate import Pose
 from dextar_control.model.model import Model
 from dextar_control.planning.planner import Plan
-from dextar_sim.rig import Rig
+from dextar_sim.rig import ControllerInput, Rig
 
 AFTER = 0.2  # s of holding after the trip
+PERIOD = 1e-3  # s, of a plant without a rig
+TURN = 2.0 * np.pi / 2**17  # rad, of an encoder's count
+
+ran: list[ControlLoop] = []
+"""The loops that ran in the present test, for what is told where it fails."""
+
+
+class Bare:
+    """A plant as a rig: encoders that count steps of ``resolution``, rad, exact with 0,
+    and drives that give at once what they are told.
+    """
+
+    def __init__(self, plant: Any, resolution: float = 0.0) -> None:
+        self.plant, self.resolution, self.truth = plant, resolution, plant.state
+        self._begin, self._periods = float(plant.state().time), 0
+
+    @property
+    def time(self) -> float:
+        """It goes on where the plant is put elsewhere, s."""
+        return self._begin + self._periods * PERIOD
+
+    def read(self) -> ControllerInput:
+        q_a = np.array(self.plant.state().q_a)
+        if self.resolution:
+            q_a = np.round(q_a / self.resolution) * self.resolution
+        return ControllerInput(self.time, q_a, None)
+
+    def write(self, tau: np.ndarray) -> None:
+        self.plant.step(tau)
+        self._periods += 1
+
+
+class Moment(NamedTuple):
+    """A sample, and the answer to it, which the robot has not got yet."""
+
+    sample: ControllerInput
+    tau: np.ndarray  # (n,)
+
+
+def running(
+    loop: ControlLoop,
+    rig: Any,
+    *,
+    until: float = np.inf,
+    count: float = np.inf,
+    seen: Callable[[ControllerInput], ControllerInput] = lambda sample: sample,
+) -> Iterator[Moment]:
+    """The closed loop: one period after the other, and what the caller does between
+    happens before the robot goes on. Samples that are lost are left out; it ends where
+    the joints are no numbers, behind a leg's Type 1 singularity.
+
+    Args:
+        loop: of the controller; it has its trajectory, or holds.
+        rig: a simulator's, or a ``Bare`` plant; it is where the robot begins.
+        until: time of the rig at which to end, s.
+        count: of periods after which to end.
+        seen: the sample as the controller sees it.
+    """
+    if loop not in ran:
+        ran.append(loop)
+    while rig.time < until and count > 0:
+        sample, count = rig.read(), count - 1
+        if sample is None:
+            rig.write(None)
+            continue
+        if not np.isfinite(sample.q_a).all():
+            return
+        shown = seen(sample)
+        pose = None if shown.pose is None else Pose(shown.pose.time, shown.pose.x)
+        tau = loop.step(shown.time, shown.q_a, pose)
+        yield Moment(sample, tau)
+        rig.write(tau)
+
+
+def advance(loop: ControlLoop, rig: Any, **span: float) -> np.ndarray:
+    """Go through all of ``running``; the last torque."""
+    tau = np.zeros(loop.model.n)
+    for moment in running(loop, rig, **span):
+        tau = moment.tau
+    return tau
+
+
+def told(loop: ControlLoop) -> str:
+    """What to look at where a closed loop did not do what it should."""
+    if loop.tick is None:
+        return "it made no tick"
+    tick = loop.tick
+    verdicts = ", ".join(passed.verdict.name for passed in loop.passed) or "none"
+    return (
+        f"at {tick.time:.3f} s in {loop.phase.name}, s {float(np.ravel(tick.s)[0]):.3f},"
+        f" assembly mode {tick.assembly_mode:+.0f} with confidence"
+        f" {tick.confidence:.3f}; verdicts {verdicts}; {loop.completed} trips completed"
+        f"; reason: {loop.reason or 'none'}; refusal: {loop.refusal or 'none'};"
+        f" estimator: {getattr(loop.estimator, 'note', '') or 'nothing to tell'}"
+    )
 
 
 def state_of(model: Model, x: np.ndarray, x_dot: np.ndarray) -> SimpleNamespace:
@@ -55,6 +152,8 @@ class Run(NamedTuple):
     confidence: np.ndarray
     q_a: np.ndarray  # measured
     tau: np.ndarray  # commanded
+    s: np.ndarray  # estimated
+    phases: list[Phase]
     notes: list[str]  # in turn, each once
 
     @property
@@ -94,21 +193,20 @@ def drive(
     """One trip; ``camera_off`` moves what the camera sees, m."""
     rig = Rig(built or robot, **rig_options)
     loop = ControlLoop(robot, default_settings(**(settings or {})), 1)
-    rows, notes = [], [""]
+    rows, phases, notes = [], [], [""]
+
+    def seen(sample: ControllerInput) -> ControllerInput:
+        pose = sample.pose
+        return sample._replace(pose=pose and pose._replace(x=pose.x + camera_off))
+
     try:
         rig.reset_joints(
             loop.model.inverse_geometric_model(plan.trajectory.at(0.0).x), 1
         )
         loop.accept(plan.trajectory)
-        for _ in range(round((until or plan.trajectory.duration + AFTER) / rig.period)):
-            sample, truth = rig.read(), rig.truth()
-            pose = (
-                None
-                if sample.pose is None
-                else Pose(sample.pose.time, sample.pose.x + camera_off)
-            )
-            tau = loop.step(sample.time, sample.q_a, pose)
-            tick = loop.tick
+        count = round((until or plan.trajectory.duration + AFTER) / rig.period)
+        for sample, tau in running(loop, rig, count=count, seen=seen):
+            truth, tick = rig.truth(), loop.tick
             if loop.estimator.note != notes[-1]:
                 notes.append(loop.estimator.note)
             side = np.sign(loop.model.place(truth.x).s[0])
@@ -123,11 +221,12 @@ def drive(
                     tick.confidence,
                     *sample.q_a,
                     *tau,
+                    tick.s,
                 ]
             )
+            phases.append(tick.phase)
             if blow is not None and abs(sample.time - blow.time) < 0.5 * rig.period:
                 rig.strike(blow.impulse)
-            rig.write(tau)
     finally:
         rig.close()
     t = np.array(rows)
@@ -142,5 +241,7 @@ def drive(
         t[:, 9],
         t[:, 10:12],
         t[:, 12:14],
+        t[:, 14],
+        phases,
         notes,
     )

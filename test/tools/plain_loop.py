@@ -4,89 +4,46 @@ mechanism; exact, or PyBullet's bodies.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
+from closed_loop import PERIOD, TURN, Bare, running
 
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
-from dextar_control.model import exact_plant
+from dextar_control.model.exact_plant import ExactPlant
 from dextar_control.model.model import Model
 from dextar_control.model.robot import Robot
 from dextar_control.planning.certificate import NEAR_LOCUS, Plan
 from dextar_sim.body_plant import BodyPlant
 
-PERIOD = 1e-3  # s
-SUBSTEPS = 4  # of Runge and Kutta's method, a period
+SUBSTEPS = 4  # of PyBullet, a period
 AFTER = 0.1  # s of holding after the trip
-TURN = 2.0 * np.pi / 2**17  # rad, of an encoder's count
+PlantOf = Callable[[Robot], Any]
 
 
-class ExactPlant:
-    """The package's, at rest in x (n,); joints through an encoder."""
-
-    def __init__(self, robot: Robot, x: np.ndarray, resolution: float = TURN) -> None:
-        self.resolution, self._plant = resolution, exact_plant.ExactPlant(robot, PERIOD)
-        self.model, self.step = self._plant.model, self._plant.step
-        self._plant.reset(x)
-
-    @property
-    def x(self) -> np.ndarray:
-        """(n,) of the platform."""
-        return self._plant.state().x
-
-    def joints(self) -> np.ndarray:
-        """(n,) as the encoders count them."""
-        return np.round(self._plant.state().q_a / self.resolution) * self.resolution
-
-    def turn(self, blocks: tuple[int, ...]) -> None:
-        """The velocity along t_s of these blocks of A_r turns round."""
-        state = self._plant.state()
-        self._plant.reset(state.x, _turned(self.model, state.x, state.x_dot, blocks))
-
-    def close(self) -> None:
-        """Nothing is held."""
+def exact_plant(robot: Robot) -> ExactPlant:
+    """The robot's own forward dynamics."""
+    return ExactPlant(robot, PERIOD)
 
 
-class PyBulletPlant:
-    """The mechanism's bodies in PyBullet with the surface of ``ExactPlant``."""
-
-    def __init__(self, robot: Robot, x: np.ndarray, resolution: float = TURN) -> None:
-        self.model, self.resolution = Model.of(robot), resolution
-        self._plant = BodyPlant(
-            robot.mechanism,
-            robot.numbers,
-            period=PERIOD,
-            substeps=SUBSTEPS,
-            max_torque=robot.max_torque,
-        )
-        self.close = self._plant.close
-        self._plant.reset(x)
-
-    @property
-    def x(self) -> np.ndarray:
-        """(n,) of the bodies."""
-        return self._plant.state().x
-
-    def joints(self) -> np.ndarray:
-        """(n,) as the encoders count them."""
-        return np.round(self._plant.state().q_a / self.resolution) * self.resolution
-
-    def turn(self, blocks: tuple[int, ...]) -> None:
-        """The velocity along t_s of these blocks of A_r turns round."""
-        state = self._plant.state()
-        self._plant.reset(state.x, _turned(self.model, state.x, state.x_dot, blocks))
-
-    def step(self, tau: np.ndarray) -> None:
-        """One period under torques (n,)."""
-        self._plant.step(tau)
+def pybullet_plant(robot: Robot) -> BodyPlant:
+    """The mechanism's bodies in PyBullet."""
+    return BodyPlant(
+        robot.mechanism,
+        robot.numbers,
+        period=PERIOD,
+        substeps=SUBSTEPS,
+        max_torque=robot.max_torque,
+    )
 
 
-def _turned(
-    model: Model, x: np.ndarray, x_dot: np.ndarray, blocks: tuple[int, ...]
-) -> np.ndarray:
-    t_s = model.place(x).t_s.reshape(model.n, -1)[:, list(blocks)]
-    return x_dot - 2.0 * t_s @ (t_s.T @ x_dot)
+def turn_round(model: Model, plant: Any, blocks: tuple[int, ...]) -> None:
+    """The velocity along t_s of these blocks of A_r turns round."""
+    state = plant.state()
+    t_s = model.place(state.x).t_s.reshape(model.n, -1)[:, list(blocks)]
+    plant.reset(state.x, state.x_dot - 2.0 * t_s @ (t_s.T @ state.x_dot))
 
 
 class Run(NamedTuple):
@@ -135,7 +92,7 @@ def drive(
     *,
     turned: float | None = None,
     turned_blocks: tuple[int, ...] = (0,),
-    plant_of: type[ExactPlant] | type[PyBulletPlant] = ExactPlant,
+    plant_of: PlantOf = exact_plant,
     **changes: object,
 ) -> Run:
     """One trip of a robot as built, in the hands of a controller that knows it as
@@ -147,40 +104,36 @@ def drive(
         turned_blocks: of A_r, whose motion that is.
         plant_of: what makes the plant.
     """
-    start = plan.trajectory.at(0.0).x
-    plant = plant_of(built or robot, start, resolution)
-    s = float(plant.model.place(start).s[0])
+    start, model = plan.trajectory.at(0.0).x, Model.of(built or robot)
+    plant = plant_of(built or robot)
+    plant.reset(start)
     loop = ControlLoop(
         robot,
         default_settings(estimator="observer", **changes),
-        1 if s > 0.0 else -1,
+        1 if float(model.place(start).s[0]) > 0.0 else -1,
         near=start,
     )
     loop.accept(plan.trajectory)
-    rows = []
-    for k in range(round((plan.trajectory.duration + AFTER) / PERIOD)):
-        q_a = plant.joints()
-        if not np.isfinite(
-            q_a
-        ).all():  # through Type 1, where the model of this working mode ends
-            break
-        tau = loop.step(k * PERIOD, q_a)
-        tick = loop.tick
-        assert tick is not None
-        rows.append(
-            [
-                plant.x,
-                tick.reference.x,
-                tick.estimate.x,
-                plant.model.place(plant.x).s_blocks,
-                tau,
-            ]
-        )
-        rows[-1] = [np.array(part) for part in rows[-1]]
-        if turned is not None and abs(k * PERIOD - turned) < 0.5 * PERIOD:
-            plant.turn(turned_blocks)
-        plant.step(tau)
-    plant.close()
+    count, rows = round((plan.trajectory.duration + AFTER) / PERIOD), []
+    try:
+        for sample, tau in running(loop, Bare(plant, resolution), count=count):
+            x, tick = plant.state().x, loop.tick
+            rows.append(
+                [
+                    np.array(part)
+                    for part in (
+                        x,
+                        tick.reference.x,
+                        tick.estimate.x,
+                        model.place(x).s_blocks,
+                        tau,
+                    )
+                ]
+            )
+            if turned is not None and abs(sample.time - turned) < 0.5 * PERIOD:
+                turn_round(model, plant, turned_blocks)
+    finally:
+        getattr(plant, "close", lambda: None)()
     return Run(loop, *(np.array(part) for part in zip(*rows, strict=True)))
 
 

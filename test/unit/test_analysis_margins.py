@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from closed_loop import running
 from synthetic_run import FAR_TORQUE, robot, write_run
 
 from dextar_control.analysis import compute_metrics, load_run
@@ -44,10 +45,7 @@ def driven() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
     loop.accept(plan.trajectory)
     nearest: dict[str, tuple[float, float, float]] = {}
     rows, longest = [], 0.0
-    for k in range(1400):
-        sample = rig.read()
-        tau = loop.step(sample.time, sample.q_a)
-        assert loop.tick is not None
+    for k, (sample, tau) in enumerate(running(loop, rig, count=1400)):
         rows.append((round(sample.time * 1e9), sample.q_a, loop.tick, tau))
         if loop.phase not in LIMP:
             for name, (value, limit) in loop.watches.items():
@@ -62,7 +60,6 @@ def driven() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
             longest = max(longest, loop.supervisor._timers["saturation"])
         if PUSHED[0] <= k * 1e-3 < PUSHED[1]:
             rig.strike(np.array([0.0, PUSH * rig.period]))
-        rig.write(tau)
     rig.close()
     stamps = np.array([stamp for stamp, *_ in rows])
     none, ticks = np.zeros((len(rows), 2)), [tick for *_, tick, _ in rows]

@@ -20,7 +20,6 @@ UNIT = re.compile(
 )
 # files whose docstrings still lack some: the list only gets shorter
 UNFINISHED = {
-    "dextar_control/check_rig/samples.py",
     "dextar_control/control/phases.py",
     "dextar_control/control/timing.py",
     "dextar_control/estimation/direct.py",
@@ -33,9 +32,6 @@ UNFINISHED = {
     "dextar_control/mechanisms/mechanism.py",
     "dextar_control/model/model.py",
     "dextar_control/model/regressor.py",
-    "dextar_control/nodes/messages.py",
-    "dextar_control/nodes/task.py",
-    "dextar_control/nodes/trajectory_server.py",
     "dextar_control/planning/locus.py",
     "dextar_control/planning/model.py",
     "dextar_control/planning/planner.py",

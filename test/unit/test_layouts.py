@@ -36,7 +36,7 @@ PANELS = {
     "DiagnosticSummary",
     "DiagnosticStatusPanel",
 }
-NODES = {profile.node for enclave in ENCLAVES for profile in enclave.profiles}
+NODES = {profile.node for enclave in ENCLAVES for profile in enclave.rights}
 # A message path as Foxglove documents it: topic, then fields, each perhaps with an
 # index and filters.
 STEP = re.compile(

@@ -74,7 +74,7 @@ def test_no_name_is_cut_where_there_is_no_terminal(
 
 
 def test_the_runs_of_a_comparison_may_have_any_name() -> None:
-    comparison = Comparison(["a [/b]", "[red]c"], [], [], [], [], [], [])
+    comparison = Comparison(["a [/b]", "[red]c"], [], [], [], [], [], [], [])
     text = shown(summary_table(comparison, 100))
     assert "1: a [/b]" in text and "2: [red]c" in text
 

@@ -39,34 +39,34 @@ if TYPE_CHECKING:
 MAX_ERROR, END_ERROR = 5e-3, 1e-3  # m, true
 # confidences from which the bins of the reliability table begin
 CONFIDENCE_BINS = (0.5, 0.6, 0.8, 0.9, 0.99, 0.999)
-NEAR = 0.1  # |s| that counts as near the locus
-CLEAR = 0.2  # |s| from which on the test of the side runs
+NEAR_ABS_S = 0.1  # |s| that counts as near the locus
+SIDE_TEST_ABS_S = 0.2  # |s| from which on the test of the side runs
 SETTLE = 0.2  # s of holding after the trip
-STRIKE_SPREAD = (
-    0.01  # s before and after the planned crossing between which a bounce is struck
-)
+# s before and after the planned crossing between which a bounce is struck
+STRIKE_SPREAD = 0.01
 RESTITUTION = (0.6, 1.0)  # speed after over before, of a bounce
-GONE = 1e-3  # N m below which a torque counts as gone
-BRAKING = 0.03  # s after recognition within which the torque is gone or brakes
-BODIES = (
-    "left.proximal_mass",
-    "left.proximal_inertia",
-    "left.distal_mass",
-    "left.distal_inertia",
-    "left.rotor_inertia",
-    "right.proximal_mass",
-    "right.proximal_inertia",
-    "right.distal_mass",
-    "right.distal_inertia",
-    "right.rotor_inertia",
+NO_TORQUE = 1e-3  # N m below which a torque counts as gone
+RELEASE_TIME = 0.03  # s after recognition within which the torque is gone or brakes
+INERTIAL_PARAMETERS = (
+    *(
+        f"{side}.{body}"
+        for side in ("left", "right")
+        for body in (
+            "proximal_mass",
+            "proximal_inertia",
+            "distal_mass",
+            "distal_inertia",
+            "rotor_inertia",
+        )
+    ),
     "end_effector_mass",
 )
-WEIGHT = 9.81  # m/s^2
+GRAVITY = 9.81  # m/s^2
 BELT_DAMPING = 0.05  # damping ratio of rotor and belt
 PUSH_DURATION, PUSH_BEFORE = 0.02, 0.03  # s; until the planned crossing
 # |s| of the plan from which on a robot on the other side counts as on the wrong one
-CLEAR_S = 0.2
-LENGTHS = (
+WRONG_SIDE_ABS_S = 0.2
+LINK_LENGTHS = (
     "left.proximal_length",
     "left.distal_length",
     "right.proximal_length",
@@ -127,12 +127,14 @@ def built_robot(
     """
     changes: dict[str, float | tuple[float, float]] = {}
     flat = flatten(robot)
-    shares = perturbation.get("masses", 0.0) * generator.uniform(-1.0, 1.0, len(BODIES))
-    for name, share in zip(BODIES, shares, strict=True):
+    shares = perturbation.get("masses", 0.0) * generator.uniform(
+        -1.0, 1.0, len(INERTIAL_PARAMETERS)
+    )
+    for name, share in zip(INERTIAL_PARAMETERS, shares, strict=True):
         changes[name] = flat[name] * (1.0 + share)
     off = perturbation.get("geometry", 0.0) * generator.uniform(-1.0, 1.0, 8)
     off += perturbation.get("geometry_signs", 0.0) * sides.choice((-1.0, 1.0), 8)
-    for name, shift in zip(LENGTHS, off[:4], strict=True):
+    for name, shift in zip(LINK_LENGTHS, off[:4], strict=True):
         changes[name] = flat[name] + shift
     for side, leg, shift in zip(
         robot.sides, robot.legs, (off[4:6], off[6:8]), strict=True
@@ -140,7 +142,7 @@ def built_robot(
         if shift.any():
             changes[f"{side}.axis"] = tuple((np.array(leg.axis) + shift).tolist())
     if tilt := perturbation.get("tilt"):
-        way, pull = sides.uniform(0.0, 2.0 * math.pi), WEIGHT * math.sin(tilt)
+        way, pull = sides.uniform(0.0, 2.0 * math.pi), GRAVITY * math.sin(tilt)
         changes["gravity"] = (
             robot.gravity[0] + pull * math.cos(way),
             robot.gravity[1] + pull * math.sin(way),
@@ -513,10 +515,10 @@ def _judge(loop: ControlLoop, log: Log, bounced: bool) -> Row:
         _on_side(log, passed.time, sign)
         for passed, sign in zip(loop.passed, certificate.crossing_signs, strict=True)
     ]
-    near = np.abs(log.s) < NEAR
+    near = np.abs(log.s) < NEAR_ABS_S
     wrong = (
         np.logical_not(log.limp)
-        & (np.abs(log.s_ref) > CLEAR_S)
+        & (np.abs(log.s_ref) > WRONG_SIDE_ABS_S)
         & (log.s * log.s_ref < 0.0)
     )
     planned = certificate.peak_torque
@@ -570,7 +572,7 @@ def _stated_confidences(log: Log) -> Row:
     """For each bin of confidence: whether the run stated it clear of the locus, for
     which share of that time the side was right, and the mean of what it stated.
     """
-    told = (np.abs(log.s) >= CLEAR) & (log.mode != 0.0)
+    told = (np.abs(log.s) >= SIDE_TEST_ABS_S) & (log.mode != 0.0)
     bins = np.digitize(log.confidence, CONFIDENCE_BINS) - 1
     when = {f"{low:g}": told & (bins == k) for k, low in enumerate(CONFIDENCE_BINS)}
 
@@ -626,10 +628,10 @@ def _turned(log: Log, sign: float) -> bool:
     is on neither side.
     """
     s = sign * log.s[int(np.searchsorted(log.time, log.strike)) :]
-    there = np.flatnonzero(s >= 2.0 * CLEAR)
+    there = np.flatnonzero(s >= 2.0 * SIDE_TEST_ABS_S)
     before = s[: int(there[0])] if len(there) else s
     back = np.maximum.accumulate(before) - before
-    return bool(((before <= -NEAR) & (back >= NEAR)).any())
+    return bool(((before <= -NEAR_ABS_S) & (back >= NEAR_ABS_S)).any())
 
 
 def _bounce(
@@ -667,8 +669,10 @@ def _bounce(
     }
     if named:
         moment = int(stopped[0])
-        late = moment + round(BRAKING / (log.time[1] - log.time[0]))
-        gone = (np.abs(log.tau[late:]).max(axis=1) < GONE) | (log.power[late:] <= 0.0)
+        late = moment + round(RELEASE_TIME / (log.time[1] - log.time[0]))
+        gone = (np.abs(log.tau[late:]).max(axis=1) < NO_TORQUE) | (
+            log.power[late:] <= 0.0
+        )
         row["release_delay"] = float(log.time[moment] - log.strike)
         # the torque's watch often lets go before the side is sure
         if called is Verdict.BOUNCED:

@@ -55,10 +55,9 @@ SERVE_ATTEMPTS = 5
 MOST_IDLE = 20  # trips in a row in which a fault met nothing
 SILENT = 2.5  # s without its diagnostics after which a node counts as silent
 SPREAD = 0.13  # s around a crossing within which its fault begins
-JUDGED_AFTER = (
-    0.12  # s after the planned crossing, where the reference is clear of the locus
-)
-NEAR = 0.4  # |s| of the reference below which a fault is at the locus
+# s after the planned crossing, where the reference is clear of the locus
+JUDGED_AFTER = 0.12
+AT_LOCUS_ABS_S = 0.4  # |s| of the reference below which a fault is at the locus
 SETTLE = 0.3  # s of the rig's time that a robot without control is watched
 FIRST_FAULT = 0.02  # s after the start before which no window opens
 PHASE = CRITERION_NAMES.index("phase")
@@ -418,7 +417,7 @@ class Session(Stack):
             return "throughout"
         profile = trip.plan.certificate.profile
         time = trip.times(np.array([fault.begin]))
-        if abs(np.interp(time, profile.time, profile.s)[0]) < NEAR:
+        if abs(np.interp(time, profile.time, profile.s)[0]) < AT_LOCUS_ABS_S:
             return "at the locus"
         return "before" if fault.begin < fault.crossing else "after"
 

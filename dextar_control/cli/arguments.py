@@ -1,0 +1,53 @@
+"""Commands share these arguments and the ranges of their numbers."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+
+def number(
+    low: float, high: float, unit: str = "", *, above: bool = False
+) -> Callable[[str], float]:
+    """Return what reads a number of an argument.
+
+    Args:
+        low, high: inclusive bounds.
+        unit: of the number, for the message.
+        above: whether the lower bound itself is refused.
+    """
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high or (above and value == low):
+            least = f"above {low:g}" if above else f"{low:g}"
+            raise argparse.ArgumentTypeError(
+                f"{text}; it must lie in {least} to {high:g}{unit and f' {unit}'}"
+            )
+        return value
+
+    return read
+
+
+def whole(low: int, high: int) -> Callable[[str], int]:
+    """Return what reads a whole number of an argument, between inclusive bounds."""
+
+    def read(text: str) -> int:
+        if not text.isdecimal() or not low <= int(text) <= high:
+            raise argparse.ArgumentTypeError(
+                f"{text}; it must be a whole number from {low} to {high}"
+            )
+        return int(text)
+
+    return read
+
+
+def add_bag(parser: argparse.ArgumentParser, what: str = "run") -> None:
+    """Add the argument that names one bag."""
+    text = f"an .mcap file, or the {what}'s folder"
+    parser.add_argument("bag", type=Path, help=text)
