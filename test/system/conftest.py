@@ -15,9 +15,9 @@ from dextar_control.nodekit.domain import own_domain
 os.environ["ROS_DOMAIN_ID"] = str(own_domain())
 ROOT = Path(__file__).resolve().parents[2]
 SETTINGS = (
-    "plant.pose_rate:=100.0",
-    "recorder.name:=first light",
-    "recorder.tags:=demo lockstep",
+    "plant.external_pose.rate:=100.0",
+    "recorder.run.name:=first light",
+    "recorder.run.tags:=demo lockstep",
 )
 
 
