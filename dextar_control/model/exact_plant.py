@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from dextar_control.model.model import Model
 from dextar_control.model.robot import AnyRobot
-from dextar_control.symbols.types import Array
+from dextar_control.symbols.types import Array, Numbers
 
-Numbers = Sequence[float] | Array
 SUBSTEPS = 4  # of Runge and Kutta's method in a period
 
 
