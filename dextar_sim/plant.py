@@ -4,10 +4,9 @@ No ROS here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.mechanisms import mechanism_named
+from dextar_control.symbols.types import Numbers
 from dextar_sim.body_plant import BodyPlant
 from dextar_sim.effects import (
     NO_EFFECTS,
@@ -74,7 +73,7 @@ class Plant(FiveBarPlacing, BodyPlant):
         )
         self.become(flatten(self._links))
 
-    def _begin_at(self, joints: Sequence[float], x_dot: Sequence[float]) -> PlantState:
+    def _begin_at(self, joints: Numbers, x_dot: Numbers) -> PlantState:
         return self._place(joints, joints_dot_at(self.robot, joints, x_dot))
 
 

@@ -5,12 +5,11 @@ meets the criterion t_s . w_d = 0 where it crosses; the controller sees nothing 
 robot but the angles of its encoders.
 """
 
-from typing import Any
-
 import numpy as np
 
 from dextar_control import ControlLoop, default_settings, load_robot, plan_return_trip
 from dextar_control.contract.resources import ROBOT_FILE, config_file
+from dextar_control.model.exact_plant import ExactPlant
 from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.certificate import Plan
 from dextar_sim.plant import Plant
@@ -23,19 +22,19 @@ HOLD = 0.1  # s, after the trip
 def drive(
     robot: AnyRobot,
     plan: Plan,
-    plant: Any,
+    plant: Plant | ExactPlant,
     resolution: float = TURN,
     **settings: object,
 ) -> None:
     """Track a plan in a plain loop and print how the plant followed it."""
     start, side = plan.trajectory.at(0.0).x, np.sign(plan.certificate.profile.s[0])
-    plant.reset(start)
+    plant.reset(start.tolist())
     loop = ControlLoop(robot, default_settings(**settings), int(side), near=start)
     loop.accept(plan.trajectory)
     error = torque = 0.0  # the largest: m, N m
     while (state := plant.state()).time < plan.trajectory.duration + HOLD:
         tau = loop.step(state.time, np.round(state.q_a / resolution) * resolution)
-        plant.step(tau)
+        plant.step(tau.tolist())
         x_ref = plan.trajectory.at(state.time).x
         error = max(error, float(np.linalg.norm(x_ref - state.x)))
         torque = max(torque, float(np.abs(tau).max()))

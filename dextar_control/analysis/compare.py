@@ -547,7 +547,7 @@ def name_runs(
                     [
                         name,
                         *(
-                            f"{one.name.rpartition('.')[2]} {one.values[row]}"
+                            f"{one.name.partition('.')[2]} {one.values[row]}"
                             for one in told[:count]
                         ),
                     ]

@@ -115,7 +115,7 @@ def compute_metrics(run: Run) -> Metrics:
             for topic, count in run.losses.items()
         },
     )
-    exciting = bool(run.parameter("trajectory_server", "excite"))
+    exciting = bool(run.parameter("trajectory_server", "task.excite"))
     success, reasons = judge(
         metrics, has_truth=run.truth is not None, problem=problem, exciting=exciting
     )
@@ -163,7 +163,7 @@ def _torque_limit(run: Run, planned_peak: float) -> float:
     limit = run.robot.max_torque if run.robot else math.inf
     ratio, least = (
         number_of(run.parameter("controller", name))
-        for name in ("watch_ratio", "watch_torque")
+        for name in ("torque_limit.peak_ratio", "torque_limit.min_torque")
     )
     watched = max(ratio * planned_peak, least)
     return min(limit, watched) if math.isfinite(ratio * planned_peak + least) else limit

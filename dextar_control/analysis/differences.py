@@ -56,7 +56,7 @@ def differing(runs: Sequence[Run], metrics: Sequence[Metrics]) -> list[Differenc
         if (
             any(not same_value(value, values[0]) for value in values)
             and key not in PLACES
-            and key.rpartition(".")[2] not in OWN_LINE
+            and key.partition(".")[2] not in OWN_LINE
         ):
             found.append(Difference(key, [value_text(value) for value in values], True))
     return [*found, Difference("bag", [shown_name(run) for run in runs], False)]

@@ -33,6 +33,8 @@ from dextar_control.bags.scan import Progress
 from dextar_control.bags.series import Columns, Select, Series, Steady
 from dextar_control.contract import topics
 from dextar_control.contract.errors import BagError, ParameterError
+from dextar_control.contract.former_names import present_names
+from dextar_control.contract.node_parameters import parameters_of_node
 from dextar_control.contract.robot import (
     JOINT_NAMES,
     ROBOT_KEYS,
@@ -123,7 +125,7 @@ def load_run(
         resolved = _table_of(record, "contract", str)
         losses = _losses(_table_of(record, "topics", dict))
         parameters = _parameters(record)
-    except (ValueError, RecursionError, yaml.YAMLError) as error:
+    except (ValueError, RecursionError, yaml.YAMLError, ParameterError) as error:
         why = " ".join(str(error).split())
         bag.faults.append(
             f"{bag.path}: its metadata record 'dextar' cannot be read and is passed"
@@ -188,9 +190,10 @@ def _parameters(record: dict[str, str]) -> Parameters:
         for key, text in record.items()
         if key.startswith(PARAMETER_PREFIX)
     }
-    for values in found.values():
+    for node, values in found.items():
         if not isinstance(values, dict):
             raise ValueError(f"{values!r} is no table")
+        found[node], _ = present_names(parameters_of_node(node), values)
     return found
 
 

@@ -18,9 +18,9 @@ from dextar_control.analysis.tracking import Tracked
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.contract.settings import Settings, default_settings
+from dextar_control.contract.settings import Settings
 from dextar_control.control.law import OUTPUT
-from dextar_control.control.phases import LIMP
+from dextar_control.control.phases import WITHOUT_LAW
 from dextar_control.control.supervisor import (
     LAST,
     NAMES,
@@ -169,7 +169,7 @@ def measure_margins(
     if track is None:
         return Margins()
     criterion = run.criterion
-    law = np.isin(criterion.phase, LIMP + (-1,), invert=True)
+    law = np.isin(criterion.phase, WITHOUT_LAW + (-1,), invert=True)
     first = plan.crossing_times.min(initial=math.inf) if plan is not None else math.inf
     decided = (criterion.verdict > 0.0) | (
         criterion.stamps < track.start + 1e9 * min(first, track.time[-1])
@@ -238,7 +238,7 @@ def _settings(run: Run) -> Settings:
     """Return the controller's settings as they were recorded, with defaults for those
     that its version did not have.
     """
-    defaults = vars(default_settings())
+    defaults = node_defaults("controller")
     try:
         return Settings.from_values(defaults | run.parameters.get("controller", {}))
     except (ParameterError, TypeError, ValueError):
@@ -258,7 +258,7 @@ def _node_limits(run: Run, timing: Timing, late_share: float) -> list[Margin]:
         if len(run.states.stamps) > 1
         else math.nan
     )
-    allowed = _parameter(run, "controller", "state_timeout")
+    allowed = _parameter(run, "controller", "joint_states.timeout")
     limits = [
         (
             "states",
@@ -275,7 +275,7 @@ def _node_limits(run: Run, timing: Timing, late_share: float) -> list[Margin]:
                 "longest time between two commands, by the system clock",
                 "s",
                 timing.command_period.maximum,
-                _parameter(run, "plant", "command_timeout"),
+                _parameter(run, "plant", "drive.command_timeout"),
             ),
             (
                 "late",
@@ -307,8 +307,8 @@ def _side(
     inside = (time >= track.time[0]) & (time <= track.time[-1])
     unsure = (
         inside
-        & (np.abs(s) >= settings.verdict_s)
-        & (criterion.mode_confidence < settings.verdict_confidence)
+        & (np.abs(s) >= settings.mode_check.above_abs_s)
+        & (criterion.mode_confidence < settings.mode_check.confidence)
     )
     begins, ends = (
         np.flatnonzero(np.diff(np.concatenate([[0], unsure, [0]]).astype(int)))
@@ -323,11 +323,14 @@ def _side(
         "longest time clear of the locus without knowing the side",
         "s",
         value,
-        settings.side_time,
-        value / settings.side_time,
+        settings.mode_check.unknown_time,
+        value / settings.mode_check.unknown_time,
         float(time[row]) if row >= 0 else math.nan,
         float(criterion.s[row]) if row >= 0 else math.nan,
-        note=f"ends a motion only after an error of {1e3 * settings.side_error:g} mm",
+        note=(
+            "ends a motion only after an error of"
+            f" {1e3 * settings.mode_check.unknown_error:g} mm"
+        ),
     )
 
 
@@ -409,7 +412,7 @@ def _watches(
         distance = np.hypot(*error.T)
         recovers = (
             run.criterion.mode_confidence[ticks.criterion]
-            >= settings.verdict_confidence
+            >= settings.mode_check.confidence
         )
         recovers &= distance < _before(distance)
         passed[:, NAMES.index("saturation")] &= ~recovers
@@ -448,7 +451,7 @@ def _watches(
     ]
 
 
-def _zeros(fields: Iterable[Field]) -> dict[str, float]:
+def _zeros(fields: Iterable[Field]) -> dict[str, float | Floats]:
     return dict.fromkeys((one.name for one in fields), 0.0)
 
 

@@ -54,6 +54,8 @@ from dextar_control.bags.damage import (
     unreadable_lines,
 )
 from dextar_control.contract import style
+from dextar_control.contract.former_names import former_names
+from dextar_control.contract.node_parameters import parameters_of_node
 from dextar_control.contract.topics import TOPICS
 from dextar_control.contract.words import counted
 from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
@@ -770,11 +772,14 @@ def _changes(run: Run) -> list[str]:
     for change in _parsed(run.record.get("parameter_changes", ""), list):
         try:
             moment = (int(change["time"]) - zero) * 1e-9
+            name = change["name"]
+            former = former_names(parameters_of_node(change["node"]))
+            name = former.get(name, name)
             lines.append(
-                f"{change['node']}.{change['name']} was set to"
+                f"{change['node']}.{name} was set to"
                 f" {json.dumps(change['value'])} at {moment:+.3f} s"
             )
-        except (KeyError, TypeError, ValueError):
+        except (AttributeError, KeyError, TypeError, ValueError):
             continue
     return lines
 
