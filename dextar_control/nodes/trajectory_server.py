@@ -153,7 +153,7 @@ class TrajectoryServer(DextarNode):
         self._worker.poll()
         self._tell_progress()
         if self._waiting and self._planned is not None and not self._why_not():
-            self._submit_trip(self._on_autostart)
+            self._submit_trip(self._serve)
             self._waiting = False
 
     def _tell_progress(self) -> None:
@@ -240,10 +240,8 @@ class TrajectoryServer(DextarNode):
         self._trajectory_publisher.publish(served.message)
         self._served += 1
         self._error = ""
-        text = (
-            f"served {len(served.message.points)} points over"
-            f" {served.certificate.duration:.3f} s"
-        )
+        points, duration = len(served.message.points), served.certificate.duration
+        text = f"served {points} points over {duration:.3f} s"
         self.get_logger().info(text)
         self._diagnose(whole=True)
         return text
@@ -296,13 +294,9 @@ class TrajectoryServer(DextarNode):
             return
         self._take(planned)
 
-    def _on_autostart(
-        self, served: ServedTrip | None, error: DextarError | None
-    ) -> None:
-        if served is None:
-            self._note(error)
-        else:
-            self._publish(served)
+    def _serve(self, served: ServedTrip | None, error: DextarError | None) -> str:
+        """Publish a trip, or log why there is none; return that in words."""
+        return self._note(error) if served is None else self._publish(served)
 
     def _take(self, planned: tuple[Task, Plan] | None) -> None:
         if planned is not None:
@@ -333,7 +327,7 @@ class TrajectoryServer(DextarNode):
 
     def _on_start(self, service: Service, _: Trigger.Request, header: object) -> None:
         def done(served: ServedTrip | None, error: DextarError | None) -> None:
-            message = self._note(error) if served is None else self._publish(served)
+            message = self._serve(served, error)
             service.send_response(
                 Trigger.Response(success=served is not None, message=message), header
             )
