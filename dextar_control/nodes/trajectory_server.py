@@ -26,9 +26,9 @@ from dextar_control.contract.topics import (
     MAX_TRAJECTORY_POINTS,
     TRAJECTORY,
 )
+from dextar_control.nodekit.job_queue import Done, GivenUp, JobQueue
 from dextar_control.nodekit.node import EXIT_USAGE, DextarNode, qos, run_node
 from dextar_control.nodekit.services import type_of
-from dextar_control.nodekit.worker import Done, GivenUp, JobQueue
 from dextar_control.nodes import messages, task
 from dextar_control.nodes.next_step import command, why_not
 from dextar_control.nodes.task import Task, in_words, plan_from
@@ -117,7 +117,7 @@ class TrajectoryServer(DextarNode):
         self._error = ""
         self._controller: dict[str, str] = {}
         self._controller_time = -FRESH
-        self._worker = JobQueue()
+        self._jobs = JobQueue()
         self._told = (0.0, "")
         self._starting: object | None = None  # the trip that is planned to be served
         self._trajectory_publisher = self.create_publisher(
@@ -133,7 +133,7 @@ class TrajectoryServer(DextarNode):
         ]
         self.create_service(Trigger, "~/stop", self._on_stop)
         self._waiting = self.values["autostart"]
-        self._worker.submit(self._plan_of(self._task), self._on_first_plan)
+        self._jobs.submit(self._plan_of(self._task), self._on_first_plan)
         self.create_timer(POLL_PERIOD, self._poll, clock=self.steady_clock)
         self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
 
@@ -150,17 +150,17 @@ class TrajectoryServer(DextarNode):
                 taken := service.handle.service_take_request(type_of(service).Request)
             )[1] is not None:
                 answer(service, *taken)
-        self._worker.poll()
+        self._jobs.poll()
         self._tell_progress()
         if self._waiting and self._planned is not None and not self._why_not():
             self._submit_trip(self._serve)
             self._waiting = False
 
     def _tell_progress(self) -> None:
-        now, stage = time.monotonic(), self._worker.stage
+        now, stage = time.monotonic(), self._jobs.stage
         if stage and stage != self._told[1] and now - self._told[0] > TELL_PERIOD:
             self._told = now, stage
-            self.get_logger().info(f"planning, {self._worker.fraction:.0%}: {stage}")
+            self.get_logger().info(f"planning, {self._jobs.fraction:.0%}: {stage}")
             self._diagnose()
 
     def _plan_of(
@@ -177,7 +177,7 @@ class TrajectoryServer(DextarNode):
                 plan = known[1]
             else:
                 begin = time.perf_counter()
-                plan = wanted.plan(self.robot, progress or self._worker.progress)
+                plan = wanted.plan(self.robot, progress or self._jobs.progress)
                 self.get_logger().info(
                     f"planned in {time.perf_counter() - begin:.2f} s:"
                     f" {in_words(plan.certificate)}"
@@ -218,7 +218,7 @@ class TrajectoryServer(DextarNode):
         def progress(fraction: float, stage: str) -> None:
             if self._starting is not starting:
                 raise stopped
-            self._worker.progress(fraction, stage)
+            self._jobs.progress(fraction, stage)
 
         def planned(served: ServedTrip | None, error: DextarError | None) -> None:
             if self._starting is starting:
@@ -227,7 +227,7 @@ class TrajectoryServer(DextarNode):
             else:
                 done(None, error or stopped)
 
-        self._worker.submit(self._trip(self._origin(), progress), planned)
+        self._jobs.submit(self._trip(self._origin(), progress), planned)
 
     def _origin(self) -> Array:
         """Return where the robot stands as far as is known, else A; (2,), m."""
@@ -323,7 +323,7 @@ class TrajectoryServer(DextarNode):
                 Trigger.Response(success=planned is not None, message=message), header
             )
 
-        self._worker.submit(self._plan_of(self._task), done)
+        self._jobs.submit(self._plan_of(self._task), done)
 
     def _on_start(self, service: Service, _: Trigger.Request, header: object) -> None:
         def done(served: ServedTrip | None, error: DextarError | None) -> None:
@@ -364,8 +364,8 @@ class TrajectoryServer(DextarNode):
                 )
             service.send_response(response, header)
 
-        self._worker.submit(
-            lambda: wanted.plan_between(self.robot, start, goal, self._worker.progress),
+        self._jobs.submit(
+            lambda: wanted.plan_between(self.robot, start, goal, self._jobs.progress),
             done,
         )
 
@@ -381,8 +381,8 @@ class TrajectoryServer(DextarNode):
         """Publish how far planning is, and the certificate; with ``whole`` all its
         crossings, however many.
         """
-        worker = self._worker
-        planning = f"{worker.fraction:.0%}, {worker.stage}" if worker.stage else ""
+        jobs = self._jobs
+        planning = f"{jobs.fraction:.0%}, {jobs.stage}" if jobs.stage else ""
         values: dict[str, object] = {
             "served": self._served,
             "error": self._error,
@@ -413,7 +413,7 @@ class TrajectoryServer(DextarNode):
         """Give up a plan under way, publish diagnostics, and make the drawing that
         nobody waited for.
         """
-        self._worker.close()
+        self._jobs.close()
         self._diagnose()
         if (
             self.values["autostart"]
