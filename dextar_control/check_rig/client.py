@@ -240,9 +240,9 @@ def limits_of(arguments: argparse.Namespace, robot: RobotParameters) -> Limits:
     rate = given(arguments.rate, 1.0 / plant["task.sample_period"])
     return Limits(
         rate=rate,
-        watchdog=given(arguments.watchdog, plant["command_timeout"]),
+        watchdog=given(arguments.watchdog, plant["drive.command_timeout"]),
         max_torque=robot.max_torque,
-        max_gap=given(arguments.max_gap, controller["state_timeout"]),
+        max_gap=given(arguments.max_gap, controller["joint_states.timeout"]),
         jitter=given(arguments.jitter, 1.0 / rate if rate else 0.0),
         rate_tolerance=arguments.rate_tolerance,
         max_age=arguments.max_age,

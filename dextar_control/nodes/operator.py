@@ -430,13 +430,16 @@ def task_values(asked: Mapping[str, ParameterValue]) -> dict[str, ParameterValue
     values: dict[str, ParameterValue] = {}
     if any(asked[name] is not None for name in ("tour", "point", "excite")):
         values = {
-            "tour": asked["tour"] or 0,
-            "point": asked["point"] or [],
-            "excite": asked["excite"] or 0.0,
+            "task.tour": asked["tour"] or 0,
+            "task.point": asked["point"] or [],
+            "task.excite": asked["excite"] or 0.0,
+            "task.tour_points": [],
+            "task.direction": 0,
         }
-        values |= {"tour_points": [], "direction": 0}
     return values | {
-        name: asked[name] for name in ("duration", "repeat") if asked[name] is not None
+        f"task.{name}": asked[name]
+        for name in ("duration", "repeat")
+        if asked[name] is not None
     }
 
 
