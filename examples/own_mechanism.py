@@ -1,5 +1,5 @@
 """A mechanism of one's own: sliders on two rails, one ahead of the other, whose bars
-meet in a point; with the bars in one line it is singular. What is not stated here follows.
+meet in a point; in one line they are singular. What is not stated here follows.
 """
 
 import casadi as ca

@@ -45,7 +45,7 @@ def main(bag: str = "runs/latest", file: str = "crossings.png") -> None:
         ylabel=f"{'true' if true else 'estimated'} error (mm)",
     )
     axes.axvline(0.0, linestyle=":", color="grey")
-    axes.legend()
+    figure.legend(loc="outside right upper")
     figure.savefig(file)
     print(f"{bag}: law {metrics.law}, estimator {metrics.estimator}; drawn in {file}")
 
