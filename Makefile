@@ -2,7 +2,6 @@
 # LAW=consistent  law of the demo: consistent, projected or classic
 # DURATION=       duration of one way in the demo, s
 # CONFIG=         file of the campaign (config/campaign_small.yaml)
-# TESTS=test      the tests that make test runs, such as test/loop or one file
 # ARGS=           further arguments of dextar or pytest
 # EXTRAS=         of setup.py that make setup adds: campaign, export, video
 # PYTHON=python3  the interpreter that .venv is made with, 3.10 to 3.13
@@ -12,7 +11,6 @@ LAW ?= consistent
 DURATION ?=
 CONFIG ?= config/campaign_small.yaml
 EXTRAS ?=
-TESTS ?= test
 ARGS ?=
 
 SHELL := /bin/bash
@@ -56,7 +54,7 @@ check: set-up-test ## formatter, linter, types, and the tests that start nothing
 	exit $$tests
 
 test: set-up-test .venv/installed-js ## run the tests
-	@$(PYTEST) --durations=10 $(TESTS) $(ARGS)
+	@$(PYTEST) --durations=10 $(ARGS)
 	$(COVERAGE)
 
 docs: ## build the documentation into docs/_build/index.html, which opens offline
