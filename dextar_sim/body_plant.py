@@ -19,7 +19,14 @@ from dextar_control.symbols.functions import Fast
 from dextar_control.symbols.types import Array
 from dextar_sim import world
 from dextar_sim.effects import JointEffects
-from dextar_sim.state import Motor, PlantState, check_steps, saturated, state_layout
+from dextar_sim.state import (
+    Motor,
+    Numbers,
+    PlantState,
+    check_steps,
+    saturated,
+    state_layout,
+)
 from dextar_sim.tree import functions_of
 from dextar_sim.urdf import bodies_of
 
@@ -137,7 +144,7 @@ class BodyPlant:
         self._hold([state[0] for state in held], [state[1] for state in held])
         self._read()
 
-    def reset(self, x: Sequence[float], x_dot: Sequence[float] = ()) -> PlantState:
+    def reset(self, x: Numbers, x_dot: Numbers = ()) -> PlantState:
         """Put the platform at x with velocity x_dot, in the robot's working mode, at
         time 0.
 
@@ -164,9 +171,7 @@ class BodyPlant:
             )
         return self._place(closed.joints.tolist(), closed.joints_dot.tolist())
 
-    def _place(
-        self, joints: Sequence[float], joints_dot: Sequence[float]
-    ) -> PlantState:
+    def _place(self, joints: Numbers, joints_dot: Numbers) -> PlantState:
         self._hold(
             [
                 angle + 0.5 * self._substep * rate
@@ -183,7 +188,7 @@ class BodyPlant:
         self._read()
         return self.state()
 
-    def _hold(self, held: Sequence[float], joints_dot: Sequence[float]) -> None:
+    def _hold(self, held: Numbers, joints_dot: Numbers) -> None:
         for index, angle, rate in zip(self._joints, held, joints_dot, strict=True):
             p.resetJointState(
                 self._body, index, angle, rate, physicsClientId=self._client
@@ -194,7 +199,7 @@ class BodyPlant:
         q_a: list[float] = self.state().q_a.tolist()
         return q_a if self._effects is None else self._effects.encoder_angles(q_a)
 
-    def apply_impulse(self, impulse: Sequence[float]) -> None:
+    def apply_impulse(self, impulse: Numbers) -> None:
         """Strike the platform with an impulse along its coordinates, (n,), N s, during
         the next step's first substep.
         """
@@ -202,8 +207,8 @@ class BodyPlant:
 
     def step(
         self,
-        torque: Sequence[float],
-        earlier: Sequence[float] | None = None,
+        torque: Numbers,
+        earlier: Numbers | None = None,
         late: int = 0,
     ) -> Array:
         """Advance one period under constant motor torques.
@@ -249,9 +254,7 @@ class BodyPlant:
         self._read()
         return np.array(net)
 
-    def _step_each(
-        self, first: Sequence[float], last: Sequence[float], late: int
-    ) -> None:
+    def _step_each(self, first: Numbers, last: Numbers, late: int) -> None:
         """Call PyBullet for each substep, the first ``late`` of them under another
         torque.
 
@@ -283,8 +286,8 @@ class BodyPlant:
     def _step_under(
         self,
         effects: JointEffects,
-        first: Sequence[float],
-        last: Sequence[float],
+        first: Numbers,
+        last: Numbers,
         late: int,
     ) -> None:
         """Call PyBullet for each substep, under the torques of the effects at the
@@ -321,7 +324,7 @@ class BodyPlant:
         else:
             world.set_step(self._client, self._substep)
 
-    def _strike(self, impulse: Array, net: Sequence[float]) -> None:
+    def _strike(self, impulse: Array, net: Numbers) -> None:
         """Apply a force on the platform over the coming substep, and the motor
         torques.
         """

@@ -5,7 +5,6 @@ and its steps of fourth order. No ROS here.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from dextar_sim.effects import (
 )
 from dextar_sim.geometry import FiveBarPlacing, joints_dot_at, tip_of
 from dextar_sim.platform_motion import PlatformMotion
-from dextar_sim.state import PlantState, check_steps, leg_motors, saturated
+from dextar_sim.state import Numbers, PlantState, check_steps, leg_motors, saturated
 
 _LEAST_SINE = 0.01
 """|sin delta| of a leg outside the coordinates below which the motion is not followed:
@@ -74,7 +73,7 @@ class CartesianPlant(FiveBarPlacing):
         self._push: tuple[float, float] = (0.0, 0.0)
         self._state: PlantState | None = None
 
-    def _begin_at(self, joints: Sequence[float], x_dot: Sequence[float]) -> PlantState:
+    def _begin_at(self, joints: Numbers, x_dot: Numbers) -> PlantState:
         joints_dot = joints_dot_at(self.robot, joints, x_dot)
         self._check(max(abs(math.sin(joints[1])), abs(math.sin(joints[3]))), 0.0)
         self._motion.place(joints, joints_dot, tip_of(self.robot, joints), x_dot)
@@ -97,7 +96,7 @@ class CartesianPlant(FiveBarPlacing):
         q_a: list[float] = self.state().q_a.tolist()
         return q_a if self._effects is None else self._effects.encoder_angles(q_a)
 
-    def apply_impulse(self, impulse: Sequence[float]) -> None:
+    def apply_impulse(self, impulse: Numbers) -> None:
         """Strike the end effector with an impulse, (2,), N s, during the next step's
         first substep.
         """
@@ -108,8 +107,8 @@ class CartesianPlant(FiveBarPlacing):
 
     def step(
         self,
-        torque: Sequence[float],
-        earlier: Sequence[float] | None = None,
+        torque: Numbers,
+        earlier: Numbers | None = None,
         late: int = 0,
     ) -> Array:
         """Advance one period under constant motor torques.
@@ -145,8 +144,8 @@ class CartesianPlant(FiveBarPlacing):
     def _step_each(
         self,
         effects: JointEffects,
-        first: Sequence[float],
-        last: Sequence[float],
+        first: Numbers,
+        last: Numbers,
         late: int,
     ) -> float:
         """Step through the substeps, each under the torques of the effects; return the
@@ -162,7 +161,7 @@ class CartesianPlant(FiveBarPlacing):
             push = (0.0, 0.0)
         return least
 
-    def acceleration(self, torque: Sequence[float]) -> Array:
+    def acceleration(self, torque: Numbers) -> Array:
         """Return the platform's acceleration now, (2,), m/s^2, of a plant without
         effects off Type 1.
 

@@ -5,11 +5,10 @@ push.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from dextar_control.contract.errors import ParameterError
 from dextar_sim.sensors import check_nonnegative
-from dextar_sim.state import AnyPlant
+from dextar_sim.state import AnyPlant, Numbers
 
 
 class Disturbances:
@@ -32,7 +31,7 @@ class Disturbances:
         *,
         payload: float = 0.0,
         payload_time: float = 0.0,
-        push: Sequence[float] = (0.0, 0.0),
+        push: Numbers = (0.0, 0.0),
         push_time: float = 0.0,
         push_duration: float = 0.0,
     ) -> None:

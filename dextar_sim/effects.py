@@ -9,7 +9,6 @@ spring keeps its energy as long as its frequency times the substep is below 2.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import NamedTuple
@@ -30,7 +29,7 @@ from dextar_control.symbols.types import Array
 from dextar_sim.drive import DRIVE, MEMORY, drive_step
 from dextar_sim.friction import ELEMENTS, bristle_of, friction_torque
 from dextar_sim.sensors import check_nonnegative
-from dextar_sim.state import Motor, check_steps, proximal_inertia
+from dextar_sim.state import Motor, Numbers, check_steps, proximal_inertia
 
 FRICTIONS = "stick", "smooth"
 ENCODERS = "motor", "link"
@@ -346,7 +345,7 @@ class JointEffects:
         self._compliant = np.array([bool(each.stiffness) for each in transmissions])
         self._at_motor = effects.encoder_at == "motor" and bool(self._compliant.any())
 
-    def reset(self, q_a: Sequence[float], q_a_dot: Sequence[float]) -> None:
+    def reset(self, q_a: Numbers, q_a_dot: Numbers) -> None:
         """Begin with rotors that turn with the links, no torque and unbent friction;
         q_a, (2,), rad, and its rates, rad/s.
         """
@@ -354,7 +353,7 @@ class JointEffects:
         self._memory.rotor = np.asarray(q_a) + 0.5 * self._h * np.asarray(q_a_dot)
         self._memory.rotor_dot = q_a_dot
 
-    def act(self, command: Sequence[float]) -> None:
+    def act(self, command: Numbers) -> None:
         """Compute the forces over the coming substep under motor commands, (2,), N m,
         from ``joints`` and ``joints_dot`` at its begin.
         """
@@ -366,7 +365,7 @@ class JointEffects:
         """Torque of the motors at the end of the last substep, (2,), N m."""
         return np.array(self._memory.torque)
 
-    def encoder_angles(self, q_a: Sequence[float]) -> list[float]:
+    def encoder_angles(self, q_a: Numbers) -> list[float]:
         """Return the angles of the encoders' discs, (2,), rad, at joint angles ``q_a``,
         (2,), rad.
         """

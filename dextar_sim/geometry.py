@@ -8,11 +8,10 @@ rad.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from dextar_control.contract.errors import GeometryError
 from dextar_control.contract.robot import LegParameters, RobotParameters
-from dextar_sim.state import PlantState
+from dextar_sim.state import Numbers, PlantState
 
 Point = tuple[float, float]
 _SIDES = ("left", "right")
@@ -51,7 +50,7 @@ def _intersection(
     return first[0] + along * ux - across * uy, first[1] + along * uy + across * ux
 
 
-def _distal_angle(q: float, elbow_point: Point, x: Sequence[float]) -> float:
+def _distal_angle(q: float, elbow_point: Point, x: Numbers) -> float:
     """Return the angle of the distal link relative to the proximal one, in [-pi, pi],
     rad.
     """
@@ -59,7 +58,7 @@ def _distal_angle(q: float, elbow_point: Point, x: Sequence[float]) -> float:
     return math.remainder(angle, 2.0 * math.pi)
 
 
-def joints_at(robot: RobotParameters, x: Sequence[float]) -> list[float]:
+def joints_at(robot: RobotParameters, x: Numbers) -> list[float]:
     """Return the four joint angles with the end effector at x, in the robot's working
     mode.
 
@@ -96,9 +95,7 @@ def joints_at(robot: RobotParameters, x: Sequence[float]) -> list[float]:
     return joints
 
 
-def joints_of(
-    robot: RobotParameters, q_a: Sequence[float], assembly_mode: int
-) -> list[float]:
+def joints_of(robot: RobotParameters, q_a: Numbers, assembly_mode: int) -> list[float]:
     """Return the four joint angles at active angles q_a, in the given assembly mode.
 
     Args:
@@ -133,7 +130,7 @@ def joints_of(
 
 
 def joints_dot_at(
-    robot: RobotParameters, joints: Sequence[float], x_dot: Sequence[float]
+    robot: RobotParameters, joints: Numbers, x_dot: Numbers
 ) -> list[float]:
     """Return the four joint velocities, rad/s, with which both distal tips move at
     x_dot.
@@ -173,7 +170,7 @@ def joints_dot_at(
     return rates
 
 
-def tip_of(robot: RobotParameters, joints: Sequence[float]) -> Point:
+def tip_of(robot: RobotParameters, joints: Numbers) -> Point:
     """Return the end effector, midway between both distal tips, m.
 
     Args:
@@ -197,9 +194,7 @@ class FiveBarPlacing:
 
     robot: RobotParameters
 
-    def reset(
-        self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)
-    ) -> PlantState:
+    def reset(self, x: Numbers, x_dot: Numbers = (0.0, 0.0)) -> PlantState:
         """Put the end effector at x in the robot's working mode, at time 0.
 
         Args:
@@ -214,9 +209,9 @@ class FiveBarPlacing:
 
     def reset_joints(
         self,
-        q_a: Sequence[float],
+        q_a: Numbers,
         assembly_mode: int,
-        x_dot: Sequence[float] = (0.0, 0.0),
+        x_dot: Numbers = (0.0, 0.0),
     ) -> PlantState:
         """Put the active joints at q_a in the given assembly mode, at time 0.
 
@@ -231,5 +226,5 @@ class FiveBarPlacing:
         """
         return self._begin_at(joints_of(self.robot, q_a, assembly_mode), x_dot)
 
-    def _begin_at(self, joints: Sequence[float], x_dot: Sequence[float]) -> PlantState:
+    def _begin_at(self, joints: Numbers, x_dot: Numbers) -> PlantState:
         raise NotImplementedError

@@ -5,7 +5,6 @@ bytes.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
@@ -26,7 +25,7 @@ from dextar_control.nodekit.cdr import from_time
 from dextar_control.nodekit.layouts import template
 from dextar_control.symbols.types import Array
 from dextar_sim.sensors import Acknowledgement, TorqueCommand
-from dextar_sim.state import PlantState
+from dextar_sim.state import Numbers, PlantState
 
 
 class StateWriter:
@@ -66,7 +65,7 @@ class StateWriter:
         """Write ``sim/end_effector``."""
         return self._platform.pack(stamp, [*state.x.tolist(), *state.x_dot.tolist()])
 
-    def external_pose(self, stamp: int, x: Sequence[float]) -> bytes:
+    def external_pose(self, stamp: int, x: Numbers) -> bytes:
         """Write ``external_pose``: the measured end effector position, (2,), m, at the
         stamp when it was true.
         """

@@ -4,8 +4,6 @@ No ROS here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.mechanisms import mechanism_named
 from dextar_sim.body_plant import BodyPlant
@@ -17,7 +15,7 @@ from dextar_sim.effects import (
     without_rotors,
 )
 from dextar_sim.geometry import FiveBarPlacing, joints_dot_at
-from dextar_sim.state import PlantState
+from dextar_sim.state import Numbers, PlantState
 from dextar_sim.urdf import bodies_of, urdf
 
 FIVE_BAR = mechanism_named("five_bar")
@@ -74,7 +72,7 @@ class Plant(FiveBarPlacing, BodyPlant):
         )
         self.become(flatten(self._links))
 
-    def _begin_at(self, joints: Sequence[float], x_dot: Sequence[float]) -> PlantState:
+    def _begin_at(self, joints: Numbers, x_dot: Numbers) -> PlantState:
         return self._place(joints, joints_dot_at(self.robot, joints, x_dot))
 
 

@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
 from functools import lru_cache
 
 import casadi as ca
@@ -33,7 +32,7 @@ from dextar_control.contract.robot import RobotParameters
 from dextar_control.symbols.functions import Library, cache_folder, named
 from dextar_control.symbols.record import Field, Layout
 from dextar_control.symbols.types import Array, Symbol
-from dextar_sim.state import state_layout
+from dextar_sim.state import Numbers, state_layout
 
 _OWN_SINE = 0.2
 """|sin delta| below which a leg's own angles are the coordinates; at 100 rad/s it turns
@@ -493,10 +492,10 @@ class PlatformMotion:
 
     def place(
         self,
-        joints: Sequence[float],
-        joints_dot: Sequence[float],
-        x: Sequence[float],
-        x_dot: Sequence[float],
+        joints: Numbers,
+        joints_dot: Numbers,
+        x: Numbers,
+        x_dot: Numbers,
     ) -> None:
         """Begin at these joints, (4,), rad and rad/s, and this end effector, (2,), m
         and m/s.

@@ -31,7 +31,7 @@ from dextar_sim.sensors import (
     TorqueCommand,
     check_probability,
 )
-from dextar_sim.state import AnyPlant, PlantState
+from dextar_sim.state import AnyPlant, Numbers, PlantState
 
 PLANTS: dict[str, type[Plant] | type[CartesianPlant]] = {
     "pybullet": Plant,
@@ -224,9 +224,7 @@ class Rig:
         """Times since the reset that the drives let go of a command grown too old."""
         return self._hold.trips
 
-    def reset(
-        self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)
-    ) -> PlantState:
+    def reset(self, x: Numbers, x_dot: Numbers = (0.0, 0.0)) -> PlantState:
         """Put the end effector at x, (2,), m, with velocity x_dot, (2,), m/s, in the
         robot's working mode, at time 0.
 
@@ -240,9 +238,9 @@ class Rig:
 
     def reset_joints(
         self,
-        q_a: Sequence[float],
+        q_a: Numbers,
         assembly_mode: int,
-        x_dot: Sequence[float] = (0.0, 0.0),
+        x_dot: Numbers = (0.0, 0.0),
     ) -> PlantState:
         """Put the active joints at q_a, (2,), rad, in the given assembly mode, at time
         0.
@@ -279,7 +277,7 @@ class Rig:
         """Return the present sample; None when it was lost."""
         return self._sample
 
-    def write(self, torque: Sequence[float] | None) -> Array:
+    def write(self, torque: Numbers | None) -> Array:
         """Give the command that answers the present sample, and let one period pass.
 
         Args:
@@ -305,7 +303,7 @@ class Rig:
         self._measure()
         return applied
 
-    def strike(self, impulse: Sequence[float]) -> None:
+    def strike(self, impulse: Numbers) -> None:
         """Strike the end effector with an impulse, (2,), N s, during the coming
         period's first substep.
         """

@@ -15,6 +15,7 @@ import numpy as np
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.symbols.types import Array
+from dextar_sim.state import Numbers
 
 Item = TypeVar("Item")
 
@@ -76,7 +77,7 @@ class Encoder:
         resolution: int = 0,
         velocity_cutoff: float = 0.0,
         position_noise: float = 0.0,
-        offset: Sequence[float] = (0.0, 0.0),
+        offset: Numbers = (0.0, 0.0),
         homing_error: float = 0.0,
         eccentricity: float = 0.0,
         seed: int = 0,
@@ -117,11 +118,11 @@ class Encoder:
         """
         self._last = None
 
-    def position(self, q_a: Sequence[float]) -> list[float]:
+    def position(self, q_a: Numbers) -> list[float]:
         """Return measured positions, (n,), rad, of true ones, (n,), rad, without a
         sample for the velocity.
         """
-        values: Sequence[float] = q_a
+        values: Numbers = q_a
         if self._is_off:
             values = [
                 value + offset + self._eccentricity * math.sin(value + phase)
@@ -140,7 +141,7 @@ class Encoder:
             else [float(value) for value in values]
         )
 
-    def read(self, q_a: Sequence[float]) -> tuple[Array, Array]:
+    def read(self, q_a: Numbers) -> tuple[Array, Array]:
         """Take one sample.
 
         Args:
@@ -264,7 +265,7 @@ class PoseSensor:
         self._exposures = 0
         self._due = 0
 
-    def sense(self, sample: int, x: Sequence[float]) -> Measurement | None:
+    def sense(self, sample: int, x: Numbers) -> Measurement | None:
         """Look at one sample, and return the measurement that arrives with it.
 
         Args:
@@ -283,7 +284,7 @@ class PoseSensor:
             else None
         )
 
-    def _expose(self, sample: int, age: int, x: Sequence[float]) -> None:
+    def _expose(self, sample: int, age: int, x: Numbers) -> None:
         self._exposures += 1
         self._due = (
             sample - age + math.ceil(self._exposures * self._interval - _ROUNDING)

@@ -7,12 +7,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeAlias
 
 from dextar_control.contract.errors import ParameterError, StateError
 from dextar_control.contract.robot import LegParameters, RobotParameters
 from dextar_control.symbols.record import Field, Layout, Record
 from dextar_control.symbols.types import Array
+
+Numbers: TypeAlias = "Sequence[float] | Array"
+"""A few numbers, as plants take them."""
+
 
 _FRICTION_STABILITY = 1.0
 """Share of a joint's speed that friction may take away in one substep; beyond 2 it
@@ -57,18 +61,16 @@ class AnyPlant(Protocol):
     substeps: int
     max_torque: float
 
-    def reset(
-        self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)
-    ) -> PlantState:
+    def reset(self, x: Numbers, x_dot: Numbers = (0.0, 0.0)) -> PlantState:
         """Put the end effector at x, (2,), m, with velocity x_dot, (2,), m/s, in the
         robot's working mode, at time 0.
         """
 
     def reset_joints(
         self,
-        q_a: Sequence[float],
+        q_a: Numbers,
         assembly_mode: int,
-        x_dot: Sequence[float] = (0.0, 0.0),
+        x_dot: Numbers = (0.0, 0.0),
     ) -> PlantState:
         """Put the active joints at q_a, (2,), rad, in the given assembly mode, at time
         0.
@@ -76,8 +78,8 @@ class AnyPlant(Protocol):
 
     def step(
         self,
-        torque: Sequence[float],
-        earlier: Sequence[float] | None = None,
+        torque: Numbers,
+        earlier: Numbers | None = None,
         late: int = 0,
     ) -> Array:
         """Advance one period under torques, (2,), N m; they act after ``late`` substeps
@@ -90,7 +92,7 @@ class AnyPlant(Protocol):
     def encoder_angles(self) -> list[float]:
         """Return the angles of the encoders' discs, (2,), rad."""
 
-    def apply_impulse(self, impulse: Sequence[float]) -> None:
+    def apply_impulse(self, impulse: Numbers) -> None:
         """Strike the end effector with an impulse, (2,), N s, during the next step's
         first substep.
         """
@@ -165,7 +167,7 @@ def check_steps(period: float, substeps: int, motors: Sequence[Motor]) -> None:
             )
 
 
-def saturated(torque: Sequence[float], limit: float) -> tuple[float, ...]:
+def saturated(torque: Numbers, limit: float) -> tuple[float, ...]:
     """Return motor torques within the limit, N m.
 
     Raises:

@@ -20,7 +20,7 @@ from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import Settings, default_settings
 from dextar_control.control.law import OUTPUT
-from dextar_control.control.phases import LIMP
+from dextar_control.control.phases import WITHOUT_LAW
 from dextar_control.control.supervisor import (
     LAST,
     NAMES,
@@ -170,7 +170,7 @@ def measure_margins(
     if track is None:
         return Margins()
     criterion = run.criterion
-    law = np.isin(criterion.phase, LIMP + (-1,), invert=True)
+    law = np.isin(criterion.phase, WITHOUT_LAW + (-1,), invert=True)
     first = plan.crossing_times.min(initial=math.inf) if plan is not None else math.inf
     decided = (criterion.verdict > 0.0) | (
         criterion.stamps < track.start + 1e9 * min(first, track.time[-1])
@@ -447,7 +447,7 @@ def _watches(
     ]
 
 
-def _zeros(fields: Iterable[Field]) -> dict[str, float]:
+def _zeros(fields: Iterable[Field]) -> dict[str, float | Floats]:
     return dict.fromkeys((one.name for one in fields), 0.0)
 
 

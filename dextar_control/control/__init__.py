@@ -1,3 +1,1 @@
-"""From an estimate to torques: laws, phases, what is watched, safe stop; all in one
-``step(time, q_a)``.
-"""
+"""Laws, phases, watches and the safe stop: from an estimate to torques."""

@@ -42,7 +42,7 @@ of one.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 
@@ -50,7 +50,7 @@ from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.plug_in import chosen, short_name
 from dextar_control.estimation.records import ESTIMATE, REFERENCE
 from dextar_control.estimation.transmission import LEAST_INERTIA
-from dextar_control.mechanisms.mechanism import Mechanism
+from dextar_control.mechanisms.mechanism import Mechanism, Values
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.equations import Equations
 from dextar_control.model.model import equations_of
@@ -61,29 +61,17 @@ from dextar_control.symbols.smooth import HUGE, is_finite, over, smooth_step
 from dextar_control.symbols.types import Symbol
 
 TWIST_DAMPING = 0.35  # damping ratio that the law adds to a rotor on its transmission
-REACH = (
-    2.0  # times the error's natural frequency: pace at which a leg may approach Type 1
-)
+# times the error's natural frequency: pace at which a leg may approach Type 1
+REACH = 2.0
 
 GAINS = (
     Field("K_p", "1/s^2", "of the error"),
     Field("K_d", "1/s", "of its rate"),
     Field("K_i", "1/s^3", "of its integral"),
-    Field(
-        "zone",
-        "1",
-        "|s| in the middle of the transition; for projected and multi_model the band's"
-        " edge",
-    ),
+    Field("zone", "1", "|s| in the middle of the transition, or of the band's edge"),
     Field("zone_width", "1", "of the transition, in |s|"),
-    Field(
-        "friction_compensation", "1", "fraction of the modelled friction fed forward"
-    ),
-    Field(
-        "disturbance_compensation",
-        "1",
-        "fraction of the estimated disturbance torque that is compensated",
-    ),
+    Field("friction_compensation", "1", "share of the modelled friction fed forward"),
+    Field("disturbance_compensation", "1", "share of d that is compensated"),
 )
 OUTPUT = (
     Field("tau", "N m", "input torques, limited", "n"),
@@ -91,32 +79,22 @@ OUTPUT = (
     Field("error_dot", "m/s", "its rate", "n"),
     Field("u", "m/s^2", "acceleration that is asked for", "n"),
     Field("force", "N", "J_inv^T tau", "n"),
-    Field(
-        "residual",
-        "N",
-        "t_s.w_d that u asks for: what the enforcement takes away on the locus",
-    ),
+    Field("residual", "N", "t_s.w_d of u, which the enforcement removes on the locus"),
     Field("s", "1", "singularity measure at the state of the model"),
-    Field(
-        "sigma_min", "1", "smallest singular value of A_r over the mean length behind s"
-    ),
-    Field(
-        "weight",
-        "1",
-        "1 where the weak direction follows the feedback, 0 where it follows the plan",
-    ),
+    Field("sigma_min", "1", "least singular value of A_r over the singularity length"),
+    Field("weight", "1", "1 where the weak direction has feedback, 0 where the plan's"),
     Field("limit", "N m", "at which tau is cut"),
     Field("finite", "1", "1 where all of this is finite"),
 )
 
 
 class Asked(NamedTuple):
-    """What a law is asked at one sample, on symbols.
+    """The input of a law at one sample, on symbols.
 
     Attributes:
         mechanism: whose law it is.
-        equations: of the mechanism, for any state; ``here`` and ``planned`` take them
-            at those that a law needs.
+        equations: of the mechanism, for any state; ``here`` and ``planned`` give them
+            at the states that a law needs.
         vector: the mechanism's parameters; p: the same by their dotted names.
         gains, ref, hat: by the names of ``GAINS``, of ``estimation.records.REFERENCE``
             and of ``estimation.records.ESTIMATE``.
@@ -128,7 +106,7 @@ class Asked(NamedTuple):
     mechanism: Mechanism
     equations: Equations
     vector: Symbol
-    p: Any
+    p: Values
     gains: dict[str, Symbol]
     ref: dict[str, Symbol]
     hat: dict[str, Symbol]
@@ -152,12 +130,12 @@ class Asked(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What a law answers.
+    """The output of a law.
 
     Attributes:
         tau: (n,) torques, N m, before friction, disturbances and the limit.
-        e: the equations of which they are; its x_ddot is the acceleration that is asked
-            for.
+        e: the equations at the state of these torques; its x_ddot is the acceleration
+            that is asked for.
         weight: 1 where the weak direction follows the feedback, 0 where it follows the
             plan.
     """
@@ -171,31 +149,30 @@ Law = Callable[[Asked], Answer]
 
 
 def classic(asked: Asked) -> Answer:
-    """Eq. (4) at the estimated state."""
+    """The torque of Eq. (4) at the estimated state."""
     e = asked.here(asked.u)
     return Answer(e.inverse_dynamics, e)  # Eq. 4
 
 
 def projected(asked: Asked) -> Answer:
-    """The paper's torque: within the band of a block that of least norm for the wrench
-    projected there, else Eq. (4).
+    """The paper's torque: within the band of a block the torque of least norm for the
+    projected wrench, else Eq. (4).
     """
     e, band = asked.here(asked.u), asked.gains["zone"]
     J, inside = singular_vectors(e.J_inv), ca.fabs(e.s_blocks) <= band
     image = e.w_d - e.singular.v_weak @ ca.if_else(inside, e.criterion, 0.0)  # Eq. 6
     force = e.J_inv.T @ e.w_b + image
     least = J.u_strong @ ((J.v_strong.T @ force) / J.sigma_strong)  # Eq. 9
-    regular = ca.if_else(
-        inside, 0.0, over(J.v_weak.T @ force, J.sigma_weak)
-    )  # of other blocks
+    # of other blocks:
+    regular = ca.if_else(inside, 0.0, over(J.v_weak.T @ force, J.sigma_weak))
     any_inside = ca.fabs(e.s) <= band
     tau = ca.if_else(any_inside, least + J.u_weak @ regular, e.inverse_dynamics)
     return Answer(tau, e, ca.if_else(any_inside, 0.0, 1.0))
 
 
 def consistent(asked: Asked) -> Answer:
-    """The weak multiplier from feedback and plan, at the estimated state; each leg is
-    kept from Type 1.
+    """The torque with the weak multiplier from feedback and plan, at the estimated
+    state; each leg is kept from Type 1.
     """
     x, x_dot = asked.hat["x"], asked.hat["x_dot"]
     u = within_reach(
@@ -205,8 +182,8 @@ def consistent(asked: Asked) -> Answer:
 
 
 def multi_model(asked: Asked) -> Answer:
-    """The paper's [10]: the reduced model tau = w_b in the joints within the band, else
-    Eq. (4).
+    """The torque of the paper's [10]: the reduced model tau = w_b in the joints within
+    the band, else Eq. (4).
     """
     e, planned = asked.here(asked.u), asked.planned()
     q_a_ddot, x_ddot = planned.q_a_ddot + asked.a, asked.ref["x_ddot"]
@@ -218,8 +195,8 @@ def multi_model(asked: Asked) -> Answer:
 
 
 def joint_space(asked: Asked) -> Answer:
-    """The joints' feedback as an acceleration of the platform, its weak part fading,
-    with ``consistent``'s multipliers.
+    """The torque of the joints' feedback as an acceleration of the platform, whose weak
+    part fades, with the multipliers of ``consistent``.
     """
     planned = asked.planned()
     J, weight = singular_vectors(planned.J_inv), _feedback_share(asked, planned)
@@ -229,7 +206,7 @@ def joint_space(asked: Asked) -> Answer:
 
 
 def _feedback_share(asked: Asked, e: Equations) -> Symbol:
-    """Phi (k,): 1 clear of each block's zone, 0 inside."""
+    """phi (k,): 1 outside each block's zone, 0 inside."""
     zone, width = asked.gains["zone"], asked.gains["zone_width"]
     return smooth_step(ca.fabs(e.s_blocks), zone - 0.5 * width, zone + 0.5 * width)
 
@@ -238,11 +215,8 @@ def _with_multipliers(asked: Asked, e: Equations) -> Answer:
     """Torque at ``e`` with the weak multiplier from feedback and plan."""
     v, phi = e.singular, _feedback_share(asked, e)
     strong = v.u_strong @ ((v.v_strong.T @ e.w_d) / v.sigma_strong)
-    planned, fed_back = (
-        v.u_weak.T @ asked.ref["multipliers"],
-        over(e.criterion, v.sigma_weak),
-    )
-    weak = (1.0 - phi) * planned + phi * fed_back
+    planned = v.u_weak.T @ asked.ref["multipliers"]
+    weak = (1.0 - phi) * planned + phi * over(e.criterion, v.sigma_weak)
     return Answer(e.w_b - e.B.T @ (strong + v.u_weak @ weak), e, ca.mmin(phi))  # Eq. 1
 
 
@@ -250,51 +224,63 @@ LAWS: dict[str, Law] = {
     law.__name__: law
     for law in (classic, projected, consistent, multi_model, joint_space)
 }
-"""Ours by their names."""
+"""The laws of this package by their names."""
 
 
 def within_reach(
-    mechanism: Mechanism, p: Any, x: Symbol, x_dot: Symbol, u: Symbol, frequency: Symbol
+    mechanism: Mechanism,
+    p: Values,
+    x: Symbol,
+    x_dot: Symbol,
+    u: Symbol,
+    frequency: Symbol,
 ) -> Symbol:
-    """u (n,), changed as little as keeps each leg from Type 1, behind which nothing of
-    it is known: a control barrier function.
+    """u (n,), m/s^2, changed as little as keeps each leg from Type 1: a control barrier
+    function.
 
-    c, the squared sine of a leg's angle there, has to obey c_ddot + 2 w c_dot + w^2 c
-    >= 0. A leg of two links of 90 mm that is at a sine of 0.12 lacks a third of a
-    millimetre of its reach: the feedback on the platform's error is too soft for that.
+    c, the squared sine of a leg's angle, has to obey c_ddot + 2 w c_dot + w^2 c >= 0. A
+    leg of two links of 90 mm at a sine of 0.12 is a third of a millimetre from the end
+    of its reach, which the feedback on the platform's error cannot keep.
+
+    Args:
+        mechanism: whose legs they are.
+        p: symbols.
+        x, x_dot: of the platform, (n,), m, m/s.
+        u: acceleration that is asked for, (n,), m/s^2.
+        frequency: natural frequency of the error, rad/s.
     """
     clear = mechanism.type1_sines(mechanism.inverse_geometric_model(x, p), x, p) ** 2
     slopes, w = ca.jacobian(clear, x), REACH * frequency
     rate = slopes @ x_dot
-    least = -(
-        ca.jtimes(rate, x, x_dot) + 2.0 * w * rate + w**2 * clear
-    )  # of slopes . u
+    # the least values of slopes @ u
+    least = -(ca.jtimes(rate, x, x_dot) + 2.0 * w * rate + w**2 * clear)
     for leg in range(slopes.shape[0]):
-        lacks = least[leg] - slopes[leg, :] @ u
-        u = (
-            u
-            + ca.if_else(lacks > 0.0, lacks / ca.sumsqr(slopes[leg, :]), 0.0)
-            * slopes[leg, :].T
-        )
+        slope = slopes[leg, :]
+        lacks = least[leg] - slope @ u
+        u = u + ca.if_else(lacks > 0.0, lacks / ca.sumsqr(slope), 0.0) * slope.T
     return u
 
 
 def twist_damping(inertia: Symbol, stiffness: Symbol, dt: Symbol) -> Symbol:
-    """Torque of the motors (n,) per rate of twist, N m s/rad: 0 where rigid, and less
-    where it swings too fast for the clock.
+    """Damping (n,), N m s/rad, that the motors add to the twist: 0 where rigid, and
+    less where it swings too fast for the control period.
 
-    The feedback is at the links, the motors are not: between them it excites what the
-        transmission damps too little itself.
+    The feedback acts on the links through the motors and would excite a transmission
+    that damps itself too little.
+
+    Args:
+        inertia: of the rotors, (n,), kg m^2.
+        stiffness: of the transmissions, (n,), N m/rad.
+        dt: control period, s.
     """
-    pace = (
-        stiffness * dt**2 / ca.fmax(inertia, LEAST_INERTIA)
-    )  # squared natural frequency times the period
+    # squared product of natural frequency and period
+    pace = stiffness * dt**2 / ca.fmax(inertia, LEAST_INERTIA)
     return 2.0 * TWIST_DAMPING * ca.sqrt(inertia * stiffness) / (1.0 + pace**2)
 
 
 def law_of(mechanism: Mechanism, name: str) -> ca.Function:
-    """One tick of a law: (p, gains, reference, estimate, integral, limit, dt) ->
-    output, integral_next.
+    """The function of one tick of a law: (p, gains, reference, estimate, integral,
+    limit, dt) -> output, integral_next.
 
     Args:
         mechanism: whose law it is.
@@ -315,11 +301,8 @@ def law_of(mechanism: Mechanism, name: str) -> ca.Function:
     )
     integral, limit, dt = ca.SX.sym("integral", n), ca.SX.sym("limit"), ca.SX.sym("dt")
     error, error_dot = ref["x"] - hat["x"], ref["x_dot"] - hat["x_dot"]
-    grown = ca.if_else(
-        ca.fabs(ref["s"]) > gains["zone"] + gains["zone_width"],
-        integral + dt * error,
-        integral,
-    )
+    away = ca.fabs(ref["s"]) > gains["zone"] + gains["zone_width"]
+    grown = ca.if_else(away, integral + dt * error, integral)
     u = (
         ref["x_ddot"]
         + gains["K_d"] * error_dot
@@ -329,11 +312,9 @@ def law_of(mechanism: Mechanism, name: str) -> ca.Function:
     a = gains["K_p"] * wrapped(ref["q_a"] - hat["q_a"]) + gains["K_d"] * (
         ref["q_a_dot"] - hat["q_a_dot"]
     )
-    tau, e, weight = _answer(
-        name,
-        law,
-        Asked(mechanism, equations_of(mechanism), vector, p, gains, ref, hat, u, a),
-    )
+    e = equations_of(mechanism)
+    asked = Asked(mechanism, e, vector, p, gains, ref, hat, u, a)
+    tau, e, weight = _answer(name, law, asked)
     tau = tau + gains["friction_compensation"] * mechanism.friction(ref["q_a_dot"], p)
     tau = tau - gains["disturbance_compensation"] * hat["d"]
     if transmission := mechanism.transmission(p):
@@ -375,10 +356,10 @@ def law_of(mechanism: Mechanism, name: str) -> ca.Function:
 
 
 def _answer(name: str, law: Law, asked: Asked) -> Answer:
-    """A law's answer, which may be somebody's own.
+    """The answer of a law, which may be one's own.
 
     Raises:
-        ParameterError: it fails, or answers what is no torque.
+        ParameterError: the law fails, or its answer has wrong shapes or types.
     """
     if name in LAWS:
         return law(asked)

@@ -1,7 +1,5 @@
-"""The control loop: estimate, law, limits and phases in one ``step(time, q_a) ->
-torque``.
-
-It knows no ROS and no simulator; a rig, a node or a plain ``for`` calls it alike.
+"""The control loop: estimate, law, watches and phases in one ``step(time, q_a)``, which
+a rig, a node and a plain ``for`` call alike.
 """
 
 from __future__ import annotations
@@ -14,12 +12,12 @@ from dextar_control.contract.errors import ParameterError, StateError, Trajector
 from dextar_control.contract.plug_in import short_name
 from dextar_control.contract.settings import Settings
 from dextar_control.control.law import GAINS, LAWS
-from dextar_control.control.phases import LIMP, MOVING, Frame, Phase, Tick
+from dextar_control.control.phases import MOVING, WITHOUT_LAW, Frame, Phase, Tick
 from dextar_control.control.reference import PlannedReference
 from dextar_control.control.safe_stop import SafeStop, Stage, Stopped
 from dextar_control.control.supervisor import Supervisor, acts_of
 from dextar_control.control.verdicts import CrossingJudge, Passed
-from dextar_control.estimation.estimate import Pose
+from dextar_control.estimation.estimate import ExternalPosition
 from dextar_control.estimation.estimator import make_estimator
 from dextar_control.model.model import Model
 from dextar_control.model.robot import AnyRobot
@@ -30,15 +28,13 @@ from dextar_control.symbols.functions import Fast
 from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.types import Array
 
-REST_ZONE, REST_WIDTH = (
-    0.05,
-    0.05,
-)  # |s| of the estimator's hold while holding a point: the direct model serves nearer
+# |s| within which, and over which, the direct model is not used while holding a point
+REST_ZONE, REST_WIDTH = 0.05, 0.05
 HOLD_MARGIN = 0.05  # in |s|, over what holding a point needs
-ENABLE_SPEED = 0.5  # rad/s of a joint, at which a robot is still taken for one at rest
-FIRST_PERIOD = 1e-3  # s taken for the first sample
+ENABLE_SPEED = 0.5  # rad/s of a joint, at which a robot still counts as at rest
+FIRST_PERIOD = 1e-3  # s, period of the first sample
 START_MARGIN = 2e-3  # s by which a trajectory's start may have passed when it begins
-SAME_JOINTS = 1e-6  # rad, between joints and those of the platform that they give
+SAME_JOINTS = 1e-6  # rad, between the joints and those of their platform position
 COUNTS = {2: "two", 3: "three"}
 UNKNOWN_SIDE = "the estimator cannot tell on which side of the locus the robot stands:"
 
@@ -53,13 +49,21 @@ class ControlLoop:
             all blocks of A_r.
         enabled: whether the first sample is held; otherwise the loop idles until
             ``enable``.
-        near: (n,) m, about where the robot stands at the first sample, for a mechanism
+        near: about where the robot stands at the first sample, (n,), m, for a mechanism
             without a direct geometric model in closed form; the origin when None.
 
     Attributes:
-        lacking: largest torque that the model lacks at a joint, N m, up to
-            ``watch_torque``, when a crossing trajectory's torque was at its limit last
-            with the side known: the limit leaves it beside the law's.
+        phase: of the loop.
+        reason: a sentence about why the law stopped acting; empty while it acts.
+        tripped: name of the watch that stopped it; empty for none.
+        refusal: a sentence about why the last trajectory was refused when it began.
+        certificate: of the trajectory that was tracked last; None before the first.
+        saturated_ticks: samples of the last trajectory with a torque at its limit.
+        completed: number of trajectories that were tracked to their end.
+        tick: the last sample; None before the first.
+        lacking: largest torque at a joint that is not modelled, N m, up to
+            ``watch_torque``, when a crossing trajectory's torque was last at its limit
+            with the side known; it is added to the limit.
 
     Raises:
         ParameterError: assembly_mode is neither +1 nor -1.
@@ -90,11 +94,9 @@ class ControlLoop:
         self.completed = 0
         self.tick: Tick | None = None
         self._frame = Frame(n)
-        self._reference, self._estimate, self._output = (
-            self._frame.reference,
-            self._frame.estimate,
-            self._frame.output,
-        )
+        frame = self._frame
+        self._reference, self._estimate = frame.reference, frame.estimate
+        self._output = frame.output
         self.estimator = make_estimator(
             self.model, settings, robot.min_type1_distance, self._estimate
         )
@@ -107,11 +109,8 @@ class ControlLoop:
         self._offset = (
             np.array(robot.encoder_offset) if any(robot.encoder_offset) else None
         )
-        self._answer, self._integral, self._q_a = (
-            self._output.tau,
-            np.zeros(n),
-            np.zeros(n),
-        )
+        self._answer: Array = self._output.tau
+        self._integral, self._q_a = np.zeros(n), np.zeros(n)
         self._given = {
             "dt": np.zeros(1),
             "limit": np.zeros(1),
@@ -128,7 +127,7 @@ class ControlLoop:
         self.configure(settings)
 
     def configure(self, settings: Settings) -> None:
-        """Take gains and limits, also while running; the estimator's kind stays.
+        """Take gains and limits, also while running; the estimator stays the same.
 
         Raises:
             ParameterError: the law's transition would reach the locus itself, the zones
@@ -148,10 +147,9 @@ class ControlLoop:
             )
         self.settings, self._held = settings, (settings.hold_zone, settings.hold_width)
         if settings.law not in self._acts:
-            ours = tuple(LAWS)  # compiled together; one's own by itself
-            library = acts_of(
-                self.model.mechanism, ours if settings.law in ours else (settings.law,)
-            )
+            # the laws of this package are compiled together, one's own by itself
+            laws = tuple(LAWS) if settings.law in LAWS else (settings.law,)
+            library = acts_of(self.model.mechanism, laws)
             self._acts[settings.law] = library.fast(
                 f"act_{short_name(settings.law)}",
                 p=self.model.p,
@@ -170,15 +168,10 @@ class ControlLoop:
         gains.K_p = settings.natural_frequency**2
         gains.K_d = 2.0 * settings.damping_ratio * settings.natural_frequency
         gains.K_i = settings.integral_frequency * gains.K_p
-        gains.zone = (
-            settings.band
-            if settings.law in ("projected", "multi_model")
-            else settings.zone
-        )
-        gains.zone_width, gains.friction_compensation = (
-            settings.zone_width,
-            settings.friction_compensation,
-        )
+        banded = settings.law in ("projected", "multi_model")
+        gains.zone = settings.band if banded else settings.zone
+        gains.zone_width = settings.zone_width
+        gains.friction_compensation = settings.friction_compensation
         gains.disturbance_compensation = settings.disturbance_compensation
         self.estimator.configure(settings)
         self.supervisor.configure(settings)
@@ -187,37 +180,35 @@ class ControlLoop:
 
     @property
     def passed(self) -> list[Passed]:
-        """The planned crossings of the last trajectory and what the estimator made of
-        them.
-        """
+        """The planned crossings of the last trajectory with their verdicts."""
         return self._judge.passed
 
     @property
     def watches(self) -> dict[str, tuple[float, float]]:
-        """What is watched (``supervisor.WATCHES``) and its limit, at the last sample
-        under a law.
+        """(value, limit) of each watch of ``supervisor.WATCHES`` at the last sample at
+        which a law acted.
         """
         return self.supervisor.watches
 
     @property
     def stopped(self) -> Stopped | None:
-        """How the last safe stop ended; None before the first and while one lasts."""
+        """The end of the last safe stop; None before the first and while one lasts."""
         return self._stop.ended
 
     @property
     def torque_limit(self) -> float:
-        """Of the trajectory that was tracked last, N m: what a safe stop keeps."""
+        """The torque limit of the trajectory that was tracked last, N m, which a safe
+        stop keeps.
+        """
         return self._crossing_limit
 
     @property
     def hold_s(self) -> float:
-        """|s| of the locus from which on a point is held: clear of where the side is
-        not known and of the watch.
+        """Least |s| at which a point is held: clear of where the side is not known and
+        of the watch "locus".
         """
-        return (
-            max(REST_ZONE + REST_WIDTH, self.estimator.unknown_s, self.settings.locus_s)
-            + HOLD_MARGIN
-        )
+        rest, unknown_s = REST_ZONE + REST_WIDTH, self.estimator.unknown_s
+        return max(rest, unknown_s, self.settings.locus_s) + HOLD_MARGIN
 
     @property
     def mode_known(self) -> bool:
@@ -227,17 +218,16 @@ class ControlLoop:
         return self.estimator.mode_known
 
     def check(self, trajectory: Trajectory) -> Certificate:
-        """What ``accept`` checks of a trajectory by itself; may run beside the loop, in
-        another thread.
+        """Check a trajectory by itself, as ``accept`` does; also in another thread than
+        the loop.
 
         Raises:
             TrajectoryError: it breaks the criterion, the workspace or a limit, or does
                 not rest at its ends clear of the locus; names the value and the limit.
         """
         check_rest(trajectory)
-        certificate = certify(
-            self.robot, trajectory, max_residual=self.settings.max_residual
-        )
+        residual = self.settings.max_residual
+        certificate = certify(self.robot, trajectory, max_residual=residual)
         least = self.settings.hold_zone + self.settings.hold_width
         for name, row in (("starts", 0), ("ends", -1)):
             s = abs(float(certificate.profile.s[row]))
@@ -271,8 +261,8 @@ class ControlLoop:
     ) -> None:
         """Track a checked trajectory from its start time on; see ``accept``.
 
-        What can only be seen when it begins (where the robot stands at the first
-        sample, a start that has passed) is refused then, in ``refusal``.
+        A trajectory that turns out wrong only when it begins (it starts elsewhere than
+        the robot, or too late) is refused then, in ``refusal``.
         """
         if self.phase != Phase.HOLD:
             raise TrajectoryError(
@@ -332,42 +322,42 @@ class ControlLoop:
         self.phase, self.reason, self.tripped = Phase.HOLD, "", ""
 
     def disable(self) -> None:
-        """No torque from the next sample on, whatever goes on; a safe stop stays
-        latched, but brakes no longer.
+        """Give no torque from the next sample on; a safe stop stays latched, but brakes
+        no longer.
         """
         if self.phase is Phase.SAFE_STOP:
             if self._stop.stage is not Stage.OVER:
                 self._stop.abandon()
                 self.reason = f"{self.reason}; let go on request"
         elif self.phase is not Phase.FAULT:
-            self._go_limp(Phase.IDLE, "disabled on request")
+            self._end_law(Phase.IDLE, "disabled on request")
 
     def stop(self, reason: str = "stop requested") -> None:
-        """A safe stop as soon as the robot comes to rest clear of the locus: mostly at
-        once.
+        """Begin a safe stop as soon as the robot would come to rest clear of the locus:
+        mostly at once.
 
-        A robot in good order that cannot (it is crossing, or too fast before the locus)
-        goes on with its crossing first. Holding goes on; a trajectory that waits for
-        its start is dropped.
+        A robot that would not, while no watch trips (it is crossing, or too fast before
+        the locus), finishes its crossing first. A robot that holds a point goes on
+        holding; a trajectory that waits for its start is dropped.
         """
         self._pending = None
         if self.phase in MOVING and not self._stop_wanted:
             self._stop_wanted, self.reason = True, reason
             if self.tick is None or self._comes_to_rest():
-                self._go_limp(Phase.SAFE_STOP, reason)
+                self._end_law(Phase.SAFE_STOP, reason)
 
     def fault(self, reason: str) -> None:
-        """No torque, latched until ``reset``."""
-        self._go_limp(Phase.FAULT, reason)
+        """Give no torque, latched until ``reset``."""
+        self._end_law(Phase.FAULT, reason)
 
     def set_assembly_mode(self, assembly_mode: int) -> None:
-        """Tell on which side of the locus the robot stands; only without torque.
+        """Tell on which side of the locus the robot stands, while no law acts.
 
         Raises:
             StateError: the loop is holding or moving, or the robot stands where the
                 estimator would not keep it.
         """
-        if self.phase not in LIMP:
+        if self.phase not in WITHOUT_LAW:
             raise StateError(
                 "the assembly mode can be told in IDLE, SAFE_STOP or FAULT; the phase"
                 f" is {self.phase.name}: disable first"
@@ -386,7 +376,7 @@ class ControlLoop:
             self.estimator.tell_mode(assembly_mode, self._q_a)
 
     def reset(self) -> None:
-        """From SAFE_STOP or FAULT to IDLE.
+        """Go from SAFE_STOP or FAULT to IDLE.
 
         Raises:
             StateError: the safe stop is not over, or the robot was near the locus
@@ -404,11 +394,9 @@ class ControlLoop:
             self._judge.close()
 
     def _standing(self) -> tuple[float, float]:
-        """|s| by the joints alone, and the larger joint speed, rad/s."""
-        estimate = self._estimate
-        now = self._stop.braking(
-            self._q_a, estimate.q_a_dot, estimate.x, 0.0, self.robot.max_torque
-        )
+        """(|s| by the joints alone, the larger joint speed, rad/s)."""
+        q_a_dot, x = self._estimate.q_a_dot, self._estimate.x
+        now = self._stop.braking(self._q_a, q_a_dot, x, 0.0, self.robot.max_torque)
         return now.s, now.speed
 
     def _too_near(self) -> str:
@@ -418,8 +406,10 @@ class ControlLoop:
         )
 
     def _need_side(self, then: str) -> None:
-        """Raise StateError, with what to do before ``then``, unless the side of the
-        locus is known.
+        """Check that the side of the locus is known.
+
+        Raises:
+            StateError: it is not; says what to do before ``then``.
         """
         if self.mode_known:
             return
@@ -432,37 +422,29 @@ class ControlLoop:
             f"{UNKNOWN_SIDE} set assembly_mode to the side where it stands, then {then}"
         )
 
-    def _go_limp(self, phase: Phase, reason: str, *, trusted: bool = True) -> None:
-        """Leave the reference: from now on the robot is only watched, and stopped in
+    def _end_law(self, phase: Phase, reason: str, *, trusted: bool = True) -> None:
+        """End the law: from now on the robot is only observed, and stopped in
         SAFE_STOP.
 
         Args:
-            trusted: the estimate still tells on which side the robot is.
+            phase: of ``WITHOUT_LAW``.
+            reason: a sentence.
+            trusted: whether the estimate still tells on which side the robot is.
         """
         if self.phase in MOVING:
             self._judge.let_go(self._time)
-        elif self.phase not in LIMP:
+        elif self.phase not in WITHOUT_LAW:
             self._judge.close()
         self.estimator.release(self.phase == Phase.CROSSING)
         self.supervisor.forget()
-        self.phase, self.reason, self._pending, self._stop_wanted = (
-            phase,
-            reason,
-            None,
-            False,
-        )
-        self._stop.begin(
-            self._time,
-            self._crossing_limit,
-            trusted=trusted,
-            over=phase is not Phase.SAFE_STOP,
-        )
+        self.phase, self.reason = phase, reason
+        self._pending, self._stop_wanted = None, False
+        over, limit = phase is not Phase.SAFE_STOP, self._crossing_limit
+        self._stop.begin(self._time, limit, trusted=trusted, over=over)
 
     def _hold_at(self, x: Array) -> None:
-        x = np.array(x)
-        self._set_trajectory(
-            hold(x, 1.0), np.array([0.0, 1.0]), np.zeros((2, self.model.n))
-        )
+        x, times = np.array(x), np.array([0.0, 1.0])
+        self._set_trajectory(hold(x, 1.0), times, np.zeros((2, self.model.n)))
         self.estimator.rebase(self.model.inverse_geometric_model(x))
         self._integral[:] = 0.0
 
@@ -476,12 +458,8 @@ class ControlLoop:
     def _first(self, q_a: Array) -> None:
         x = self.model.close(q_a, self._assembly_mode, self._near)
         implied = self.model.inverse_geometric_model(x)
-        if (
-            not max(
-                abs(math.remainder(angle, 2.0 * math.pi)) for angle in implied - q_a
-            )
-            < SAME_JOINTS
-        ):
+        off = [abs(math.remainder(angle, 2.0 * math.pi)) for angle in implied - q_a]
+        if not max(off) < SAME_JOINTS:
             angles = ", ".join(f"{angle:.4f}" for angle in q_a)
             raise StateError(
                 f"active joints ({angles}) rad with assembly mode"
@@ -498,12 +476,15 @@ class ControlLoop:
         self.estimator.start(x, q_a, self._assembly_mode)
         self._hold_at(x)
 
-    def step(self, time: float, q_a: Array, pose: Pose | None = None) -> Array:
-        """Torque (n,), N m, that answers the active joints q_a (n,), rad, sampled at
-        ``time``, s.
+    def step(
+        self, time: float, q_a: Array, pose: ExternalPosition | None = None
+    ) -> Array:
+        """The torques (n,), N m, that answer a sample of the active joints.
 
         Args:
-            q_a: as the encoders read them: the robot's offsets are taken off here.
+            time: of the sample, s.
+            q_a: active joints, (n,), rad, as the encoders read them, from which the
+                robot's offsets are subtracted here.
             pose: an external measurement that has arrived since the last sample; for
                 the estimator ``external``.
 
@@ -532,10 +513,10 @@ class ControlLoop:
                     f" {self._time:.6f} s"
                 )
         self._time, self._places.q_meas[:] = time, q_a
-        if self._pending is not None and (
-            self._pending[2] is None or time >= self._pending[2]
-        ):
-            self._begin(time, *self._pending)
+        if self._pending is not None:
+            start = self._pending[2]
+            if start is None or time >= start:
+                self._begin(time, *self._pending)
         reference_time = 0.0
         if self.phase in MOVING:
             reference_time = time - self._start
@@ -543,14 +524,15 @@ class ControlLoop:
                 reference_time = self._end()
         if pose is not None:
             self.estimator.take_pose(pose, time)
-        if self.phase in LIMP:
+        if self.phase in WITHOUT_LAW:
             self.estimator.coast(dt, self._q_a, self._answer)
-            self._follow()
-            self._limp(dt)
+            self._judge_coasting()
+            self._answer_without_law(dt)
         else:
             self._servo(reference_time, dt)
         self.tick = Tick(time, reference_time, self.phase, self._frame)
-        return self._answer.copy()
+        answer: Array = self._answer.copy()
+        return answer
 
     def _begin(
         self,
@@ -567,43 +549,39 @@ class ControlLoop:
             return
         self.certificate = certificate
         crossing = len(certificate.crossing_times) > 0
-        self._crossing_limit = (
-            self._limit_crossing(certificate) if crossing else self.robot.max_torque
-        )
+        self._crossing_limit = self.robot.max_torque
+        if crossing:
+            self._crossing_limit = self._limit_crossing(certificate)
         self._start = time if start is None else start
         self._judge.begin(certificate, self._start)
         self.supervisor.begin()
-        self._set_trajectory(
-            trajectory, certificate.profile.time, certificate.profile.multipliers
-        )
+        profile = certificate.profile
+        self._set_trajectory(trajectory, profile.time, profile.multipliers)
         self._integral[:] = 0.0
         self._stop_wanted = False
         self.saturated_ticks, self.lacking = 0, 0.0
         self.phase = Phase.TRACK if crossing else Phase.APPROACH
 
     def _limit_crossing(self, certificate: Certificate) -> float:
-        """Torque limit of a crossing trajectory, N m: what bounds a robot that bounced
-        and is not yet known to have.
+        """The torque limit of a crossing trajectory, N m, which bounds a robot that
+        bounced before the verdict is given.
         """
-        watched = max(
-            self.settings.watch_ratio * certificate.peak_torque,
-            self.settings.watch_torque,
-        )
-        return min(self.robot.max_torque, watched)
+        planned = self.settings.watch_ratio * certificate.peak_torque
+        return min(self.robot.max_torque, max(planned, self.settings.watch_torque))
 
     def _end(self) -> float:
-        """The trajectory is over: hold its end, or stop where that was asked for during
-        the crossing.
+        """Hold the end of the trajectory, or stop where that was asked for during the
+        crossing.
         """
         self.completed += 1
         self.phase = Phase.HOLD
         self._hold_at(self.trajectory.at(self._duration).x)
         if self._stop_wanted:
-            self._go_limp(Phase.SAFE_STOP, self.reason)
+            self._end_law(Phase.SAFE_STOP, self.reason)
         return 0.0
 
     def _servo(self, reference_time: float, dt: float) -> None:
-        """One tick of the law, and whether it may go on."""
+        """Run one tick of the law, and check whether it may go on."""
         given = self._places
         crossing = self.phase is Phase.TRACK or self.phase is Phase.CROSSING
         zone, width = self._held if crossing else (REST_ZONE, REST_WIDTH)
@@ -612,31 +590,24 @@ class ControlLoop:
         limit = self.robot.max_torque
         if crossing:
             self.phase = Phase.CROSSING if abs(s_ref) < zone + width else Phase.TRACK
-            if (
-                self.supervisor.saturated and self.mode_known
-            ):  # on the other side d would be another
-                self.lacking = min(
-                    float(abs(self._estimate.d).max()), self.settings.watch_torque
-                )
+            # on the other side d would be another
+            if self.supervisor.saturated and self.mode_known:
+                largest = float(abs(self._estimate.d).max())
+                self.lacking = min(largest, self.settings.watch_torque)
             limit = min(limit, self._crossing_limit + self.lacking)
-        given.dt[0], given.limit[0], given.crossing[0] = (
-            dt,
-            limit,
-            self.phase is Phase.CROSSING,
-        )
+        given.dt[0], given.limit[0] = dt, limit
+        given.crossing[0] = self.phase is Phase.CROSSING
         self._act.run()
         self._supervise(dt)
-        if self.phase in LIMP:
-            self._limp(dt)
+        if self.phase in WITHOUT_LAW:
+            self._answer_without_law(dt)
 
     def _supervise(self, dt: float) -> None:
-        """Whether the law may go on, by the table of watches and by the estimator's
-        opinion of the side.
-        """
+        """End the law where a watch trips or the verdict is that the robot bounced."""
         problem = self.supervisor.check(self._q_a, dt, self.estimator)
         self.saturated_ticks += self.supervisor.saturated
         if self._stop_wanted and not problem and self._comes_to_rest():
-            self._go_limp(Phase.SAFE_STOP, self.reason)
+            self._end_law(Phase.SAFE_STOP, self.reason)
             return
         side = self._judge.compare(
             self._time,
@@ -647,20 +618,17 @@ class ControlLoop:
         )
         if side or problem:
             self.tripped = "side" if side else self.supervisor.tripped
-            self._go_limp(
-                Phase.SAFE_STOP,
-                side or problem,
-                trusted=not self.supervisor.estimate_lost,
-            )
+            trusted = not self.supervisor.estimate_lost
+            self._end_law(Phase.SAFE_STOP, side or problem, trusted=trusted)
 
     def _comes_to_rest(self) -> bool:
         """Whether a robot that is braked from now on stops clear of the locus."""
         mode = self._estimate.assembly_mode if self.mode_known else 0.0
         return self._stop.comes_to_rest(self._estimate, mode, self._crossing_limit)
 
-    def _follow(self) -> None:
-        """The side on which a robot ends that was let go during a crossing, while it
-        may still be told.
+    def _judge_coasting(self) -> None:
+        """Give verdicts on the crossing during which the law stopped acting, for as
+        long as braking takes.
         """
         if self._time - self._stop.began > self.settings.brake_time:
             self._judge.close()
@@ -668,8 +636,8 @@ class ControlLoop:
         if news and "bounced" not in self.reason:
             self.reason = f"{news}; {self.reason}"
 
-    def _limp(self, dt: float) -> None:
-        """One sample without the law: a safe stop, or no torque."""
+    def _answer_without_law(self, dt: float) -> None:
+        """Answer a sample without a law: by the safe stop, or without torque."""
         ended = self._stop.step(
             self._time, dt, self._estimate, self.estimator.mode_known, self._output
         )

@@ -1,4 +1,4 @@
-"""What the loop does, and everything about one of its samples."""
+"""The phases of the loop, and the record of one of its samples."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from dextar_control.control.law import OUTPUT
 from dextar_control.estimation.records import ESTIMATE, REFERENCE
 from dextar_control.symbols.record import Layout, Record
-from dextar_control.symbols.types import Array
+from dextar_control.symbols.types import Array, Slice
 
 
 class Phase(IntEnum):
-    """What the controller does."""
+    """The phases of the controller."""
 
     IDLE = 0  # no torque, by request
     APPROACH = 1  # tracks a trajectory without a crossing
@@ -26,13 +26,13 @@ class Phase(IntEnum):
     FAULT = 6  # no torque
 
 
-LIMP = (Phase.IDLE, Phase.FAULT, Phase.SAFE_STOP)  # where the law gives no torque
+WITHOUT_LAW = (Phase.IDLE, Phase.FAULT, Phase.SAFE_STOP)  # in which no law acts
 MOVING = (Phase.APPROACH, Phase.TRACK, Phase.CROSSING)
 
 
 @lru_cache
-def frame_of(n: int) -> dict[str, tuple[slice, Layout]]:
-    """Where reference, estimate and output of one sample lie beside each other, for n
+def frame_of(n: int) -> dict[str, tuple[Slice, Layout]]:
+    """The places and layouts of reference, estimate and output in a ``Frame``, for n
     degrees of freedom.
     """
     places, start = {}, 0
@@ -48,16 +48,11 @@ def frame_of(n: int) -> dict[str, tuple[slice, Layout]]:
 
 
 class Frame:
-    """Everything about one sample, in one array.
+    """Reference, estimate and output of one sample, in one array.
 
     Args:
         n: degrees of freedom.
-        numbers: the array; zeros when None.
-
-    Attributes:
-        reference: what the plan asks for (``estimation.records.REFERENCE``).
-        estimate: what the estimator believes (``estimation.records.ESTIMATE``).
-        output: what the law answers (``control.law.OUTPUT``).
+        numbers: the array, (size,); zeros when None.
     """
 
     __slots__ = ("n", "numbers")
@@ -87,34 +82,24 @@ class Frame:
     )
 
 
-@lru_cache
-def _place(n: int, part: str, field: str) -> slice | int:
-    """Of one field in a frame."""
-    within, layout = frame_of(n)[part]
-    place, shape = layout.places[field]
-    return (
-        within.start + place
-        if shape is None
-        else slice(within.start + place.start, within.start + place.stop)
-    )
-
-
 def indices_of(n: int, *fields: str) -> NDArray[np.int64]:
-    """Where the numbers of these fields, each PART.NAME, lie in a frame, in this
-    order.
+    """The indices (k,), 1, in a frame of these fields' numbers, each PART.NAME, in
+    this order.
     """
-    every = np.arange(max(place.stop for place, _ in frame_of(n).values()))
-    return np.concatenate(
-        [np.atleast_1d(every[_place(n, *field.split("."))]) for field in fields]
-    )
+    every = np.arange(max(within.stop for within, _ in frame_of(n).values()))
+    found = []
+    for part, name in (field.split(".") for field in fields):
+        within, layout = frame_of(n)[part]
+        found.append(np.atleast_1d(every[within][layout.places[name][0]]))
+    return np.concatenate(found)
 
 
 def _field(part: str, name: str, doc: str) -> property:
-    return property(lambda self: self.numbers[_place(self.n, part, name)], doc=doc)
+    return property(lambda self: getattr(self._part(part), name), doc=doc)
 
 
 class Tick(Frame):
-    """One sample that was answered.
+    """One sample of the loop with its answer.
 
     Attributes:
         time: of the state, s.

@@ -1,4 +1,4 @@
-"""Have everything compiled that a controller and a planner call: ``python -m
+"""Compile the functions that controller and planner call: ``python -m
 dextar_control.control.prepare``.
 """
 
@@ -32,29 +32,22 @@ ALWAYS = (
     stops_of,
     references_of,
 )
-WHERE_PLANNED = (
-    planning_library,
-    states_library,
-)  # what plans a trajectory, and what checks one
+WHERE_PLANNED = planning_library, states_library
 
 
 def prepare(mechanism: Mechanism) -> bool:
-    """Compile, side by side, and load the functions of a mechanism, or find them in the
-    cache; whether they are compiled.
+    """Load the functions of a mechanism, compiled in parallel unless the cache has
+    them; whether they are compiled.
     """
     makers = (*WHERE_PLANNED, *ALWAYS) if isinstance(mechanism, FiveBar) else ALWAYS
     with ThreadPoolExecutor() as pool:
-        return all(
-            [
-                library.compiled
-                for library in pool.map(lambda make: make(mechanism), makers)
-            ]
-        )
+        libraries = list(pool.map(lambda make: make(mechanism), makers))
+    return all(library.compiled for library in libraries)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Console entry: prepare, say how long it took; interrupted, 128 + the signal's
-    number.
+    """Run the console entry: prepare and print the time it took; interrupted, it
+    returns 128 + the signal's number.
     """
     parser = argparse.ArgumentParser(
         prog="warmup",

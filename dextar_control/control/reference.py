@@ -1,6 +1,4 @@
-"""The plan's reference at a time: a piecewise polynomial's segment, and what the robot
-needs for it.
-"""
+"""The reference of a planned trajectory at a time."""
 
 from __future__ import annotations
 
@@ -23,21 +21,21 @@ from dextar_control.symbols.types import Array
 ROWS = 10  # most coefficients of a segment
 SEGMENT = (
     Field("coefficients", "m/s^k", "by rising power", "n", ROWS),
-    Field("origin", "s", "from which its time counts"),
-    Field("first", "s", "of the trajectory's begin, before which it is held"),
-    Field("last", "s", "of its end, likewise"),
+    Field("origin", "s", "of its time"),
+    Field("first", "s", "begin of the trajectory, before which it is held"),
+    Field("last", "s", "end of the trajectory, after which it is held"),
 )
 PAIR = (
-    Field("begin", "s", "of the multipliers before"),
-    Field("end", "s", "of those after"),
+    Field("begin", "s", "time of the multipliers before"),
+    Field("end", "s", "time of the multipliers after"),
     Field("before", "N/m", "multipliers", "n"),
-    Field("after", "N/m", "multipliers; between the two they go in proportion", "n"),
+    Field("after", "N/m", "multipliers; between the two they are interpolated", "n"),
 )
 
 
 @lru_cache
 def references_of(mechanism: Mechanism) -> Library:
-    """``refer``: (p, segment, pair, time) -> reference, s_blocks."""
+    """The function ``refer``: (p, segment, pair, time) -> reference, s_blocks."""
     n = mechanism.n
     vector, p = mechanism.symbols()
     (segment_vector, segment), (pair_vector, pair) = (
@@ -55,9 +53,8 @@ def references_of(mechanism: Mechanism) -> Library:
     e = equations_of(mechanism).at(
         vector, mechanism.inverse_geometric_model(x, p), x, x_dot
     )
-    share = ca.fmin(
-        ca.fmax((time - pair["begin"]) / (pair["end"] - pair["begin"]), 0.0), 1.0
-    )
+    share = (time - pair["begin"]) / (pair["end"] - pair["begin"])
+    share = ca.fmin(ca.fmax(share, 0.0), 1.0)
     found = {
         "x": x,
         "x_dot": x_dot,
@@ -81,14 +78,15 @@ def references_of(mechanism: Mechanism) -> Library:
 
 
 class PlannedReference:
-    """Of a trajectory and the multipliers that it needs.
+    """The reference of a trajectory with the multipliers that it needs.
 
     Args:
         model: of the robot, as the controller knows it.
+        now: the record to write; one of its own when None.
 
     Attributes:
         now: the reference of the last ``at``.
-        s_blocks: (k,) of each block of A_r, there.
+        s_blocks: of each block of A_r there, (k,).
     """
 
     def __init__(self, model: Model, now: Record | None = None) -> None:
@@ -105,8 +103,8 @@ class PlannedReference:
 
         Args:
             trajectory: of the platform.
-            times: (m,) rising, s.
-            multipliers: (m, n) at these times, N/m; between them in proportion.
+            times: rising, (m,), s.
+            multipliers: at these times, (m, n), N/m; interpolated between them.
 
         Raises:
             TrajectoryError: a segment has more than ROWS coefficients.
@@ -137,16 +135,15 @@ class PlannedReference:
         self._row, self._from, self._until = -1, math.nan, math.nan
 
     def at(self, time: float) -> float:
-        """Make ``now`` the reference at a time since the trajectory's start, s, held at
-        both ends; its s.
+        """Write into ``now`` the reference at a time since the trajectory's start, s,
+        held at both ends; its s.
         """
         given = self._refer.arguments
         if not self._from <= time < self._until:
             segment = max(bisect.bisect_right(self._begins, time) - 1, 0)
             given.segment[:] = self._segments[segment]
-            self._from, self._until = [-math.inf, *self._begins[1:], math.inf][
-                segment : segment + 2
-            ]
+            ends = [-math.inf, *self._begins[1:], math.inf]
+            self._from, self._until = ends[segment : segment + 2]
         row = max(bisect.bisect_right(self._times, time) - 1, 0)
         if row != self._row:
             self._row = row

@@ -1,14 +1,14 @@
-"""The safe stop: what becomes of a robot that a watch, or somebody, has stopped.
+"""The safe stop of a robot after a watch has tripped or on request.
 
-It rests on the measured joints, whatever the estimate is: |s| follows from the joints
-alone where the mechanism can tell, the same on both sides of the locus, and a torque -K
-q_a_dot with a positive definite K takes energy from the robot on either side.
+It uses the measured joints, whatever the estimate is: |s| follows from the joints alone
+where the mechanism can tell, the same on both sides of the locus, and a torque
+-K q_a_dot with a positive definite K takes energy from the robot on either side.
 
 Where the robot is decides which torque acts:
 
 - |s| < coast_s, or farther, but braked from now on it would come to rest at |s| <
-  stop_s: none; it coasts on with all its speed. No torque acts along t_s
-  there, and slowed in the other direction alone it might be left standing on the locus.
+  stop_s: none; it coasts on with all its speed. No torque acts along t_s there, and
+  slowed in the other direction alone it might come to rest on the locus.
 - Elsewhere, with a known side: braking, every direction alike, -M_q q_a_dot /
   brake_constant with M_q = J_inv^-T M J_inv^-1, scaled into the limit.
 - Elsewhere, on a side not known: braking, damping in the joints, -brake_gain q_a_dot,
@@ -16,12 +16,12 @@ Where the robot is decides which torque acts:
 - At rest for rest_time, or after coast_time of coasting, or brake_time after the begin:
   none, for good.
 
-The limit is the one that the law had when the stop began. A stop that somebody asks for
-finishes a crossing first, under the law, as far as it could not come to rest before it;
-a watch that trips lets go at once, and where it says that the estimate is not the
-robot's (not finite, a joint that jumped, joints beside the estimate) the side counts as
-not known. A fault gives no torque at all. A robot that weighs something in its plane
-sinks once its torque is gone: it needs a brake.
+The limit is that of the law when the stop began. A stop on request finishes a crossing
+first, under the law, where the robot could not come to rest before it. A watch that
+trips begins the stop at once, and where it shows that the estimate is wrong (not
+finite, a joint that jumped, joints far from the estimate) the side counts as not known.
+A fault gives no torque at all. A robot with gravity in its plane sinks once its torque
+is gone: it needs a brake.
 """
 
 from __future__ import annotations
@@ -43,46 +43,37 @@ from dextar_control.symbols.types import Array, Symbol
 
 # rad/s of each joint, below which the robot counts as at rest: 9 mm/s at an elbow
 REST_SPEED = 0.1
-FADE = (
-    0.006,
-    0.02,
-    # rad/s of the faster joint, between which braking fades: an encoder of 2^17 at rest
-    # shows the lower one
-)
+# rad/s of the faster joint, over which braking fades: an encoder of 2^17 at rest shows
+# the lower one
+FADE = 0.006, 0.02
 
 BRAKE = (
     Field("gain", "N m s/rad", "of damping in the joints"),
-    Field("constant", "s", "in which the velocity falls to its e-th part"),
+    Field("constant", "s", "time constant of braking"),
     Field("coast_s", "1", "|s| within which it coasts"),
-    Field("stop_s", "1", "|s| clear of which it comes to rest"),
+    Field("stop_s", "1", "least |s| at which it may come to rest"),
 )
 STOP = (
     Field("s", "1", "|s| by the joints"),
-    Field("rate", "1/s", "of it"),
+    Field("rate", "1/s", "of |s|"),
     Field("tau", "N m", "braking torques", "n"),
-    Field(
-        "lasting",
-        "s",
-        "for which the present velocity would have to last to lead as far as rest",
-    ),
+    Field("lasting", "s", "the braking distance over the present velocity"),
     Field("force", "N", "J_inv^T tau", "n"),
-    Field(
-        "sigma_min", "1", "smallest singular value of A_r over the mean length behind s"
-    ),
+    Field("sigma_min", "1", "least singular value of A_r over the singularity length"),
     Field("speed", "rad/s", "of the faster joint"),
 )
 
 
 class Stage(IntEnum):
-    """Of a safe stop."""
+    """The stages of a safe stop."""
 
-    COAST = 0  # no torque, for the locus is near
+    COAST = 0  # no torque near the locus
     BRAKE = 1
     OVER = 2  # no torque any more
 
 
 class Stopped(NamedTuple):
-    """How a safe stop ended."""
+    """The end of a safe stop."""
 
     time: float  # since its begin, s
     at_rest: bool
@@ -94,8 +85,8 @@ class Stopped(NamedTuple):
 
 @lru_cache
 def stops_of(mechanism: Mechanism) -> Library:
-    """``stop``: (p, brake, q_a, q_a_dot, x_hat, mode, limit) -> stop, what braking
-    would do now.
+    """The function ``stop``: (p, brake, q_a, q_a_dot, x_hat, mode, limit) -> the record
+    STOP of braking now.
     """
     n = mechanism.n
     vector, p = mechanism.symbols()
@@ -105,36 +96,28 @@ def stops_of(mechanism: Mechanism) -> Library:
     equations = equations_of(mechanism)
     known = mode != 0.0
     x = mechanism.direct_geometric_model(q_a, ca.if_else(known, mode, 1.0), p)
-    x = (
-        x_hat if x is None or equations.s_blocks.numel() > 1 else x
-    )  # several blocks may be on different sides
+    # several blocks may be on different sides
+    x = x_hat if x is None or equations.s_blocks.numel() > 1 else x
     J = ca.inv(equations.at(vector, q_a, x, ca.SX.zeros(n)).J_inv)
     e = equations.at(vector, q_a, x, J @ q_a_dot)
     s = mechanism.singularity_of_joints(q_a, p)
     if s is None:  # by the estimate
-        s, rate = (
-            ca.fabs(e.s),
-            ca.sign(e.s) * _rate(mechanism, vector, q_a, x, q_a_dot, e.x_dot),
-        )
+        s = ca.fabs(e.s)
+        rate = ca.sign(e.s) * _rate(mechanism, vector, q_a, x, q_a_dot, e.x_dot)
     else:
         rate = ca.if_else(s > 0.0, ca.jtimes(s, q_a, q_a_dot), 0.0)
     momentum = J.T @ (e.M @ e.x_dot)
     damping = -brake["gain"] * q_a_dot
     size = ca.norm_2(damping)
-    constant = ca.if_else(
-        known, brake["constant"], ca.norm_2(momentum) / ca.fmax(size, 1e-12)
-    )
+    unknown = ca.norm_2(momentum) / ca.fmax(size, 1e-12)
+    constant = ca.if_else(known, brake["constant"], unknown)
     speed = ca.mmax(ca.fabs(q_a_dot))
-    tau = ca.if_else(known, -momentum / brake["constant"], damping) * smooth_step(
-        speed, *FADE
-    )
+    wanted = ca.if_else(known, -momentum / brake["constant"], damping)
+    tau = wanted * smooth_step(speed, *FADE)
     peak = ca.mmax(ca.fabs(tau))
     share = ca.if_else(peak > limit, limit / ca.if_else(peak > 0.0, peak, 1.0), 1.0)
-    lasting = ca.if_else(
-        share > 0.0,
-        0.5 * constant * (share + 1.0 / ca.if_else(share > 0.0, share, 1.0)),
-        HUGE,
-    )
+    stretch = share + 1.0 / ca.if_else(share > 0.0, share, 1.0)
+    lasting = ca.if_else(share > 0.0, 0.5 * constant * stretch, HUGE)
     found = {
         "s": s,
         "rate": rate,
@@ -169,22 +152,22 @@ def _rate(
     q_a_dot: Symbol,
     x_dot: Symbol,
 ) -> Symbol:
-    """Of s, 1/s."""
+    """The rate of s, 1/s."""
     e = equations_of(mechanism)
     rate = ca.jtimes(e.s, ca.vertcat(e.q_a, e.x), ca.vertcat(q_a_dot, x_dot))
     return ca.substitute([rate], [e.p, e.q_a, e.x], [p, q_a, x])[0]
 
 
 class SafeStop:
-    """One stop after the other of one robot; before the first one it is over.
+    """The safe stops of one robot, one after the other.
 
     Args:
         model: of the robot, as the controller knows it.
 
     Attributes:
-        began: time of the last one's begin, s.
-        stage: of it.
-        ended: how it ended; None while it lasts, and where it was abandoned.
+        began: time at which the last one began, s.
+        stage: of the last one; OVER before the first.
+        ended: how the last one ended; None while it lasts, and where it was abandoned.
     """
 
     def __init__(self, model: Model) -> None:
@@ -212,31 +195,31 @@ class SafeStop:
         )
 
     def begin(self, time: float, limit: float, *, trusted: bool, over: bool) -> None:
-        """The robot is let go.
+        """Begin a stop.
 
         Args:
             time: of the sample, s.
             limit: of each torque, N m.
-            trusted: where the estimator knows the side, it is the robot's.
-            over: without any torque from now on.
+            trusted: whether a side that the estimator knows is the robot's.
+            over: whether there is no torque from the begin on.
         """
         self.began, self._limit, self._trusted = time, limit, trusted
         self.stage, self.ended = (Stage.OVER if over else Stage.BRAKE), None
         self._coasted = self._rested = self._peak = 0.0
 
     def abandon(self) -> None:
-        """No torque any more, wherever the robot is."""
+        """End the stop without torque, wherever the robot is."""
         self.stage = Stage.OVER
 
     def braking(
         self, q_a: Array, q_a_dot: Array, x_hat: Array, mode: float, limit: float
     ) -> Record:
-        """What braking would do now: a record of STOP, which the next call overwrites.
+        """The record STOP of braking now, which the next call overwrites.
 
         Args:
-            q_a, q_a_dot: (n,) filtered, rad and rad/s.
-            x_hat: (n,) estimate, for mechanisms whose joints alone do not tell the
-                place, m.
+            q_a, q_a_dot: filtered joints, (n,), rad, rad/s.
+            x_hat: estimate, (n,), m, for mechanisms whose joints alone do not tell the
+                platform position.
             mode: sign of s; 0 where it is not known.
             limit: of each torque, N m.
         """
@@ -247,43 +230,39 @@ class SafeStop:
         return self._now
 
     def comes_to_rest(self, estimate: Record, mode: float, limit: float) -> bool:
-        """Whether a robot that brakes from now on comes to rest clear of the locus;
-        arguments as ``braking``.
+        """Whether a robot that brakes from now on comes to rest clear of the locus; for
+        the arguments see ``braking``.
         """
-        return self._clear(
-            self.braking(estimate.q_a, estimate.q_a_dot, estimate.x, mode, limit)
-        )
+        q_a, q_a_dot = estimate.q_a, estimate.q_a_dot
+        return self._clear(self.braking(q_a, q_a_dot, estimate.x, mode, limit))
 
     def _clear(self, now: Record) -> bool:
-        brake = self._brake
-        return bool(
-            now.s >= brake.coast_s and now.s + now.rate * now.lasting >= brake.stop_s
-        )
+        s, brake = now.s, self._brake
+        at_rest = s + now.rate * now.lasting
+        return bool(s >= brake.coast_s and at_rest >= brake.stop_s)
 
     def step(
         self, time: float, dt: float, estimate: Record, mode_known: bool, out: Record
     ) -> str:
-        """One sample, its torque written into ``out``; how the stop ended, in words, at
-        the sample where it does.
+        """Take a sample, and write its torque into ``out``.
 
         Args:
             time: of the sample, s.
             dt: since the last one, s.
-            estimate: of the estimator, the joints' own motion in it.
+            estimate: of the estimator, with the joints as they are measured.
             mode_known: whether the estimator knows the assembly mode.
             out: record of the law's output.
+
+        Returns:
+            How the stop ended, in words, at the sample where it does; else "".
         """
         mode = estimate.assembly_mode if mode_known and self._trusted else 0.0
         over = self.stage is Stage.OVER
-        now = self.braking(
-            estimate.q_a, estimate.q_a_dot, estimate.x, mode, self._limit
-        )
+        q_a, q_a_dot = estimate.q_a, estimate.q_a_dot
+        now = self.braking(q_a, q_a_dot, estimate.x, mode, self._limit)
         out.numbers[:] = 0.0
-        out.finite, out.s, out.sigma_min = (
-            1.0,
-            -now.s if mode < 0.0 else now.s,
-            now.sigma_min,
-        )
+        out.finite, out.sigma_min = 1.0, now.sigma_min
+        out.s = -now.s if mode < 0.0 else now.s
         if over:
             return ""
         peak = float(abs(now.tau).max())
@@ -295,25 +274,18 @@ class SafeStop:
             self._peak = max(self._peak, peak)
         else:
             self._coasted += dt
-        self._rested = (
-            self._rested + dt
-            if now.speed < REST_SPEED and now.s >= self._brake.stop_s
-            else 0.0
-        )
+        resting = now.speed < REST_SPEED and now.s >= self._brake.stop_s
+        self._rested = self._rested + dt if resting else 0.0
         at_rest = self._rested >= self._rest_time
         lasted = time - self.began
         if not (at_rest or lasted >= self._time or self._coasted >= self._coast_time):
             return ""
         self.stage = Stage.OVER
         out.tau, out.force = 0.0, 0.0
-        self.ended = Stopped(
-            lasted, at_rest, now.s, now.speed, self._peak, self._coasted
-        )
-        how = (
-            f"at rest after {lasted:.2f} s"
-            if at_rest
-            else f"let go after {lasted:.2f} s at {now.speed:.2f} rad/s"
-        )
-        return (
-            f"{how}, |s| = {now.s:.2f}, side {'known' if mode_known else 'not known'}"
-        )
+        peak, coasted = self._peak, self._coasted
+        self.ended = Stopped(lasted, at_rest, now.s, now.speed, peak, coasted)
+        how = f"at rest after {lasted:.2f} s"
+        if not at_rest:
+            how = f"let go after {lasted:.2f} s at {now.speed:.2f} rad/s"
+        side = "known" if mode_known else "not known"
+        return f"{how}, |s| = {now.s:.2f}, side {side}"

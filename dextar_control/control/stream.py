@@ -1,5 +1,5 @@
-"""Whether joint states come as they should, for how long they have, and whether one
-publisher alone sends them.
+"""The health of the stream of joint states: for how long it has had no gap, and
+whether one publisher alone sends it.
 """
 
 from __future__ import annotations
@@ -10,19 +10,19 @@ from dextar_control.contract.errors import StateError
 
 NANOSECONDS = 1_000_000_000
 UNNUMBERED = (0, 2**64 - 1)
-"""What stands for a message's number where the middleware does not count them."""
+"""The numbers of messages that the middleware does not count."""
 MIXED = 2.0
-"""s for which a number that steps back says that a second publisher speaks; a plant in
-lockstep repeats each 0.5 s.
+"""s for which a number that steps back shows a second publisher; a plant in lockstep
+repeats a message each 0.5 s.
 """
 
 
 class StateStream:
-    """Counts healthy time: since the last gap, refusal, repetition or step back of the
-    states.
+    """The time since the last gap, refusal, repetition or step back of the states: the
+    healthy time.
 
-    It counts by their stamps. Where arrivals are told, on a steady clock, it counts the
-    shorter of the two spans: states that arrive in a burst prove no more than the burst
+    It is counted by their stamps, and where arrivals on a steady clock are given by the
+    shorter of the two spans: states that arrive in a burst show no more than the burst
     lasted.
 
     Attributes:
@@ -37,8 +37,8 @@ class StateStream:
         self._stepped_back = -math.inf  # s
 
     def hear(self, number: int | None, now: float) -> None:
-        """A state has come, used or not; each publisher numbers its own, so a number
-        that does not rise is another's.
+        """Note the number of a state that has come, used or not. Each publisher numbers
+        its own, so that a number that does not rise is another publisher's.
 
         Args:
             number: None or one of ``UNNUMBERED`` where there is none.
@@ -51,13 +51,13 @@ class StateStream:
         self._number = number
 
     def mixed(self, now: float) -> bool:
-        """Whether another publisher's state came within the last ``MIXED``: a second
-        one, or one that was started again.
+        """Whether a state of another publisher, or of one that was started again, came
+        within the last ``MIXED`` before ``now``, s.
         """
         return now - self._stepped_back <= MIXED
 
     def take(self, stamp: int, limit: float, arrival: float | None = None) -> None:
-        """A state that can be used.
+        """Take a state that can be used.
 
         Args:
             stamp: ns.
@@ -81,13 +81,13 @@ class StateStream:
         self._last_arrival = math.nan if arrival is None else arrival
 
     def spoil(self, trouble: str) -> None:
-        """The healthy time begins again, with the next state."""
+        """Begin the healthy time again with the next state, because of a trouble."""
         self.trouble = trouble
         self._first = self._last = -1
 
     def healthy_for(self, limit: float, now: float | None = None) -> float:
-        """Healthy time, s; none where the last state is older than ``limit``, s, on the
-        steady clock ``now``.
+        """The healthy time, s; 0 where the last state is older than ``limit``, s, on
+        the steady clock ``now``, s.
         """
         if self._first < 0:
             return 0.0
@@ -99,7 +99,7 @@ class StateStream:
         return min(span, self._last_arrival - self._first_arrival)
 
     def check(self, needed: float, limit: float, now: float | None = None) -> None:
-        """Whether the states have been healthy for long enough.
+        """Check that the states have been healthy for long enough.
 
         Args:
             needed: s; 0 asks only that the last state, if there was one, is not stale.
@@ -107,8 +107,8 @@ class StateStream:
             now: on the steady clock, s; None where states may come at any pace.
 
         Raises:
-            StateError: they have not; says for how long they have, how long is needed
-                and what went wrong last.
+            StateError: they have not; names the healthy time, the needed one and the
+                last trouble.
         """
         age = math.nan if now is None or self._last < 0 else now - self._last_arrival
         if age > limit:

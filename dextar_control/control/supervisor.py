@@ -1,14 +1,14 @@
-"""What is watched at every sample while a law acts, and why at that limit: the table
-``WATCHES``.
+"""The watches at every sample while a law acts: the table ``WATCHES``, with the reason
+of each limit.
 
-A watch compares a number with its limit. One that has a time lets the number pass the
-limit for that long: the time counts up while it does and down at RECOVERY of that pace
-else, so that what swings about a limit is seen too. The first watch of the table that
-trips ends the motion in a safe stop (``control.safe_stop``) and says so in one
+A watch compares a value with its limit. A watch with a time lets the value pass the
+limit for that long: the time counts up while it does, and down at RECOVERY of that pace
+otherwise, so that a value that swings about the limit is noticed too. The first watch
+of the table that trips ends the motion in a safe stop (``control.safe_stop``) with one
 sentence.
 
-The estimator's opinion of the assembly mode is watched by ``control.verdicts``; what
-needs a clock or the network (age of the states, a second commander) by who has them.
+The estimator's belief about the assembly mode is watched by ``control.verdicts``, and
+what needs a clock or the network (age of the states, a second commander) by the node.
 """
 
 from __future__ import annotations
@@ -34,28 +34,35 @@ from dextar_control.symbols.record import Field, Layout
 from dextar_control.symbols.smooth import is_finite
 from dextar_control.symbols.types import Array, Symbol
 
-RECOVERY = 0.25  # of the pace at which a watch's time counts up, down again
-# s since the last sample, over which its estimate does not say where the joints are now
-LONG_STEP = 5e-3
+RECOVERY = 0.25  # pace at which a watch's time counts down, over that of counting up
+LONG_STEP = 5e-3  # s since the last sample, beyond which no joint position is expected
 
 
 class Watch(NamedTuple):
-    """One number that is watched."""
+    """One watch.
+
+    Attributes:
+        name: of the watch.
+        value: in words.
+        unit: of the value.
+        limit: the parameters that make it.
+        time: the parameter that is the time for which the limit may be passed; empty
+            for none.
+        reason: of the defaults; "good runs" are those of the campaign that succeed.
+    """
 
     name: str
-    value: str  # what it is
+    value: str
     unit: str
-    limit: str  # what makes its limit: a parameter, or one of the robot's with one
-    time: (
-        str  # the parameter that says how long it may pass the limit; empty: not at all
-    )
-    reason: str  # of the defaults; "good runs" are those of the campaign that succeed
+    limit: str
+    time: str
+    reason: str
 
 
 WATCHES = (
     Watch(
         "joint_jump",
-        "a joint beside where the last sample expected it",
+        "a joint's distance from where the last sample expected it",
         "rad",
         "max_joint_jump",
         "",
@@ -76,16 +83,16 @@ WATCHES = (
         "m",
         "max_tracking_error",
         "",
-        "2.4 mm in good runs with consistent and observer, 5 mm is a failure; at 20 mm"
-        " the plan is over",
+        "2.4 mm in good runs with consistent and observer, and 5 mm is a failure; at"
+        " 20 mm the plan cannot be followed",
     ),
     Watch(
         "joint_speed",
-        "a joint from one sample to the next, over the time between",
+        "a joint's change from one sample to the next, over the time between",
         "rad/s",
         "robot.max_joint_speed x speed_margin",
         "speed_time",
-        "a plan may use all of the robot's limit, and an error adds to it",
+        "a plan may use the robot's limit entirely, and an error adds to it",
     ),
     Watch(
         "platform_speed",
@@ -93,12 +100,12 @@ WATCHES = (
         "m/s",
         "robot.max_platform_speed x speed_margin",
         "speed_time",
-        "as the joints'; the time is for the direct model, whose speed is without bound"
-        " for a sample on the locus",
+        "as the joints'; the time is for the direct model, whose speed has no bound on"
+        " the locus",
     ),
     Watch(
         "joint_range",
-        "a joint's way out of its range",
+        "a joint's distance outside its range",
         "rad",
         "joint_margin",
         "",
@@ -106,30 +113,30 @@ WATCHES = (
     ),
     Watch(
         "estimator",
-        "a joint beside that of the estimated platform",
+        "a joint's distance from that of the estimated platform",
         "rad",
         "max_joint_misfit",
         "misfit_time",
-        "0.0048 in good runs with a geometry 0.2 mm off, 0.03 with 0.5 mm; an estimate"
-        " that has lost the robot passes 0.06",
+        "0.0048 in good runs with a geometry 0.2 mm off, 0.03 with 0.5 mm; a wrong"
+        " estimate passes 0.06",
     ),
     Watch(
         "locus",
-        "|s| of the estimate outside of phase CROSSING",
+        "|s| of the estimate outside phase CROSSING",
         "",
         "locus_s (at least)",
         "",
-        "plans keep 0.4 there, approaches 0.2; the robots of good runs kept 0.36. Who"
-        " comes nearer was pushed or is lost",
+        "plans keep 0.4 there, approaches 0.2; the robots of good runs kept 0.36. A"
+        " robot that comes nearer was pushed, or its estimate is wrong",
     ),
     Watch(
         "saturation",
-        "the larger torque, but where the side is known and the error shrinks",
+        "the larger torque, except where the side is known and the error shrinks",
         "N m",
-        "what it is cut at",
+        "the torque limit of the law",
         "watch_time",
-        "42 ms in runs that recover from a push of 0.5 N; who is on the other side or"
-        " at a stop stays there",
+        "42 ms in runs that recover from a push of 0.5 N; a robot on the other side, or"
+        " against an obstacle, stays there",
     ),
     Watch(
         "torque_rate",
@@ -137,101 +144,67 @@ WATCHES = (
         "N m/s",
         "robot.max_torque x max_torque_rate",
         "torque_rate_time",
-        "65 N m/s for 3 ms in good runs; a loop that swings between its limits does so"
-        " at each sample",
+        "65 N m/s for 3 ms in good runs; a loop that swings between its limits passes"
+        " it at each sample",
     ),
 )
 NAMES = [watch.name for watch in WATCHES]
 VALUES = tuple(Field(watch.name, watch.unit or "1", watch.value) for watch in WATCHES)
 BOUNDS = (
     Field("middle", "rad", "of the joints' ranges", "n"),
-    Field("half", "rad", "of their widths", "n"),
-    Field(
-        "limits",
-        "SI",
-        "of the watches; that of saturation comes with the sample",
-        len(WATCHES),
-    ),
+    Field("half", "rad", "of the ranges' widths", "n"),
+    Field("limits", "SI", "of the watches, but for saturation's", len(WATCHES)),
 )
 LAST = (
     Field("known", "1", "1 where there was a sample before"),
     Field("q_meas", "rad", "joints of the last sample", "n"),
-    Field("q_a", "rad", "joints that its estimate had", "n"),
-    Field("q_a_dot", "rad/s", "and their velocities", "n"),
-    Field("tau", "N m", "torques that answered it", "n"),
-    Field(
-        "type1",
-        "1",
-        "least distance of a leg to Type 1, of the last estimate that was finite",
-    ),
+    Field("q_a", "rad", "joints of its estimate", "n"),
+    Field("q_a_dot", "rad/s", "their velocities", "n"),
+    Field("tau", "N m", "torques of its answer", "n"),
+    Field("type1", "1", "distance to Type 1 of the last finite estimate"),
 )
-ESTIMATE_LOST = (
-    "finite",
-    "joint_jump",
-    "estimator",
-)  # watches that say that the estimate is not the robot's
+# watches that show that the estimate is wrong
+ESTIMATE_LOST = ("finite", "joint_jump", "estimator")
 
 
 def watch_of(mechanism: Mechanism) -> ca.Function:
-    """(p, bounds, last, estimate, output, q_meas, dt, limit, crossing) -> values,
-    limits, passed, told, last_next.
+    """The function ``watch``: (p, bounds, last, estimate, output, q_meas, dt, limit,
+    crossing) -> values, limits, passed, told, last_next.
     """
     n, watched = mechanism.n, Layout("watched", mechanism.n, VALUES)
     vector, p = mechanism.symbols()
-    (
-        (bounds_vector, bounds),
-        (last_vector, last),
-        (hat_vector, hat),
-        (out_vector, out),
-    ) = (
-        Layout(name, n, fields).symbols()
-        for name, fields in (
-            ("bounds", BOUNDS),
-            ("last", LAST),
-            ("estimate", ESTIMATE),
-            ("output", OUTPUT),
-        )
-    )
+    bounds_vector, bounds = Layout("bounds", n, BOUNDS).symbols()
+    last_vector, last = Layout("last", n, LAST).symbols()
+    hat_vector, hat = Layout("estimate", n, ESTIMATE).symbols()
+    out_vector, out = Layout("output", n, OUTPUT).symbols()
     q_meas = ca.SX.sym("q_meas", n)
-    turns = ca.DM(
-        [joint.unit == "rad" for joint in mechanism.joints]
-    )  # of angles a range is one on any turn
+    # the range of an angle holds on any turn
+    turns = ca.DM([joint.unit == "rad" for joint in mechanism.joints])
     dt, limit, crossing = (ca.SX.sym(name) for name in ("dt", "limit", "crossing"))
-    known, finite = (
-        last["known"] > 0.0,
-        ca.if_else(is_finite(hat_vector) * out["finite"] > 0.0, 1.0, 0.0),
-    )
+    known = last["known"] > 0.0
+    finite = ca.if_else(is_finite(hat_vector) * out["finite"] > 0.0, 1.0, 0.0)
 
     def largest(values: Symbol, when: Symbol) -> Symbol:
-        return ca.if_else(
-            when, ca.fmax(ca.mmax(ca.fabs(values)), 0.0), 0.0
-        )  # a number that is not finite is told by "finite"
+        """The largest size, 0 where it is not finite, which "finite" watches."""
+        return ca.if_else(when, ca.fmax(ca.mmax(ca.fabs(values)), 0.0), 0.0)
 
     q_hat = mechanism.inverse_geometric_model(hat["x"], p)
     type1 = ca.mmin(ca.fabs(mechanism.type1_sines(q_hat, hat["x"], p)))
     expected = last["q_a"] + dt * last["q_a_dot"]
+    recent, answered = ca.logic_and(known, dt <= LONG_STEP), ca.logic_and(known, finite)
+    off = q_meas - bounds["middle"]
+    off = ca.if_else(turns, wrapped(off), off)
     values = {
-        "joint_jump": largest(
-            wrapped(q_meas - expected), ca.logic_and(known, dt <= LONG_STEP)
-        ),
+        "joint_jump": largest(wrapped(q_meas - expected), recent),
         "finite": 1.0 - finite,
         "tracking_error": ca.if_else(finite, ca.norm_2(out["error"]), 0.0),
         "joint_speed": largest(wrapped(q_meas - last["q_meas"]), known) / dt,
         "platform_speed": ca.if_else(finite, ca.norm_2(hat["x_dot"]), 0.0),
-        "joint_range": ca.mmax(
-            ca.fabs(
-                ca.if_else(
-                    turns, wrapped(q_meas - bounds["middle"]), q_meas - bounds["middle"]
-                )
-            )
-            - bounds["half"]
-        ),
+        "joint_range": ca.mmax(ca.fabs(off) - bounds["half"]),
         "estimator": largest(wrapped(q_meas - q_hat), finite),
         "locus": ca.if_else(finite, ca.fabs(out["s"]), 0.0),
         "saturation": largest(out["tau"], finite),
-        "torque_rate": (
-            largest(out["tau"] - last["tau"], ca.logic_and(known, finite)) / dt
-        ),
+        "torque_rate": largest(out["tau"] - last["tau"], answered) / dt,
     }
     limits = watched.split(bounds["limits"])
     limits |= {
@@ -240,20 +213,18 @@ def watch_of(mechanism: Mechanism) -> ca.Function:
     }
     passed = {
         name: ca.logic_not(value <= limits[name]) for name, value in values.items()
-    }
-    passed |= {
+    } | {
         "locus": values["locus"] < limits["locus"],
         "saturation": values["saturation"] >= limit,
     }
+    before = ca.if_else(known, last["type1"], 1.0)
     now = {
         "known": ca.SX(1.0),
         "q_meas": q_meas,
         "q_a": hat["q_a"],
         "q_a_dot": hat["q_a_dot"],
         "tau": out["tau"],
-        "type1": ca.if_else(
-            is_finite(q_hat) > 0.0, type1, ca.if_else(known, last["type1"], 1.0)
-        ),
+        "type1": ca.if_else(is_finite(q_hat) > 0.0, type1, before),
     }
     arguments = {
         "p": vector,
@@ -282,14 +253,14 @@ def watch_of(mechanism: Mechanism) -> ca.Function:
 
 
 def timer_after(timer: float, dt: float, passed: bool) -> float:
-    """How long a watch's limit has been passed, s, dt after it was ``timer``."""
+    """The time, s, of a watch that was ``timer`` dt, s, ago."""
     return timer + dt if passed else max(timer - RECOVERY * dt, 0.0)
 
 
 @lru_cache
 def acts_of(mechanism: Mechanism, laws: tuple[str, ...] = tuple(LAWS)) -> Library:
-    """``act_NAME`` of each law: its tick, and the watches on what it answers; what is
-    between the two is its output.
+    """The functions ``act_NAME``, one for each law: its tick and the watches of its
+    output.
 
     Raises:
         ParameterError: there is no law of a name, or its equations cannot be built.
@@ -304,35 +275,28 @@ def acts_of(mechanism: Mechanism, laws: tuple[str, ...] = tuple(LAWS)) -> Librar
             if name != "output"
         }
         given = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
-        answered = tick.call(
-            {name: given[name] for name in tick.name_in()}, False, True
-        )
+        own = {name: given[name] for name in tick.name_in()}
+        answered = tick.call(own, False, True)
         known = given | answered
-        found = answered | watch.call(
-            {name: known[name] for name in watch.name_in()}, False, True
-        )
-        acts.append(
-            ca.Function(
-                f"act_{short_name(law)}",
-                list(given.values()),
-                list(found.values()),
-                list(given),
-                list(found),
-            )
-        )
+        watched = {name: known[name] for name in watch.name_in()}
+        found = answered | watch.call(watched, False, True)
+        places = [*given.values()], [*found.values()], [*given], [*found]
+        acts.append(ca.Function(f"act_{short_name(law)}", *places))
     return Library(acts, cache_folder())
 
 
 class Supervisor:
-    """Watches one robot under a law.
+    """The watches of one robot under a law.
 
     Args:
         robot: the controller's model of it.
         model: the same, with its functions.
 
     Attributes:
-        places: that the functions of ``acts_of`` share with it.
-        times: per watch, how long its limit may be passed, s; negative: not at all.
+        places: arrays that the functions of ``acts_of`` share with it.
+        times: of each watch, for which its limit may be passed, s; negative for none.
+        saturated: whether a torque was at its limit at the last sample.
+        tripped: name of the watch that tripped at the last sample; empty for none.
     """
 
     def __init__(self, robot: AnyRobot, model: Model) -> None:
@@ -369,10 +333,8 @@ class Supervisor:
         limits.tracking_error = settings.max_tracking_error
         limits.joint_speed = settings.speed_margin * self._robot.max_joint_speed
         limits.platform_speed = settings.speed_margin * self._robot.max_platform_speed
-        limits.joint_range, limits.joint_jump = (
-            settings.joint_margin,
-            settings.max_joint_jump,
-        )
+        limits.joint_range = settings.joint_margin
+        limits.joint_jump = settings.max_joint_jump
         limits.estimator = settings.max_joint_misfit
         limits.torque_rate = settings.max_torque_rate * self._robot.max_torque
         self.times |= {
@@ -386,48 +348,41 @@ class Supervisor:
         self._bounds.limits = limits.numbers
 
     def begin(self) -> None:
-        """Another trajectory: the times count anew."""
+        """Begin a trajectory: the times count anew."""
         self._timers = dict.fromkeys(NAMES, 0.0)
         self._counting = False
 
     def forget(self) -> None:
-        """The robot was left to itself: what follows is not compared with what was
-        before.
-        """
+        """Forget the last sample, as the law stops acting."""
         self.begin()
         self._values.numbers[:] = 0.0
         self._last.numbers[:] = 0.0
 
     def check(self, q_a: Array, dt: float, estimator: Estimator) -> str:
-        """What is wrong with the sample that was just answered, in a sentence with
-        value and limit; empty for nothing.
+        """The sentence, with value and limit, of the watch that trips at the sample
+        that was just answered; "" for none.
 
         Args:
-            q_a: (n,) measured, rad.
+            q_a: measured joints, (n,), rad.
             dt: since the last sample, s.
-            estimator: that knows the side of the locus, or does not.
+            estimator: which knows the side of the locus or not.
         """
         trips, saturated = self._told.tolist()
         self.saturated, self.tripped = saturated > 0.0, ""
         if self._counting or trips > 0.0:
             before, self._error = self._error, self.error
-            self._count(
-                self._passed.numbers.tolist(),
-                dt,
-                estimator.mode_known and self._error < before,
-            )
+            recovers = estimator.mode_known and self._error < before
+            self._count(self._passed.numbers.tolist(), dt, recovers)
         return self._sentence(self.tripped, q_a) if self.tripped else ""
 
     def _count(self, passed: list[float], dt: float, recovers: bool) -> None:
-        """Count the times of watches that may be passed for a while, and find the first
-        one that trips.
+        """Count the times of the watches that have one, and find the first watch that
+        trips.
         """
         self._counting = False
         for name, over in zip(NAMES, passed, strict=True):
-            trips, time = (
-                over > 0.0 and not (recovers and name == "saturation"),
-                self.times[name],
-            )
+            trips = over > 0.0 and not (recovers and name == "saturation")
+            time = self.times[name]
             if time >= 0.0:
                 self._timers[name] = timer = timer_after(self._timers[name], dt, trips)
                 trips = timer > time
@@ -437,19 +392,19 @@ class Supervisor:
 
     @property
     def error(self) -> float:
-        """Distance between reference and estimate at the last sample, m."""
+        """The distance between reference and estimate at the last sample, m."""
         return float(self._values.tracking_error)
 
     @property
     def estimate_lost(self) -> bool:
-        """Whether what tripped at the last sample says that the estimate is not the
-        robot's.
+        """Whether the watch that tripped at the last sample shows that the estimate is
+        wrong.
         """
         return self.tripped in ESTIMATE_LOST
 
     @property
     def watches(self) -> dict[str, tuple[float, float]]:
-        """Each watch's last value and its limit, by name; zero limits do not bind."""
+        """(last value, limit) of each watch by its name; a limit of 0 does not bind."""
         pairs = zip(
             self._values.numbers.tolist(), self._limits.numbers.tolist(), strict=True
         )

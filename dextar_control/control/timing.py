@@ -1,6 +1,4 @@
-"""How regularly something comes: mean rate, jitter and the tail of its intervals over a
-sliding window.
-"""
+"""Rate, jitter and longest interval of recurring events, over a sliding window."""
 
 from __future__ import annotations
 
@@ -9,15 +7,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dextar_control.symbols.types import Array
+
 
 class Regularity(NamedTuple):
-    """Of the intervals in a window; nan without any.
+    """Statistics of the intervals in a window; nan without any.
 
     Attributes:
-        rate: Hz, of their mean.
+        rate: of their mean, Hz.
         jitter: their standard deviation, s.
-        p99: of them, s.
-        longest: s.
+        p99: their 99th percentile, s.
+        longest: of them, s.
     """
 
     rate: float
@@ -34,22 +34,24 @@ class Window:
         self.clear()
 
     def add(self, number: float) -> None:
-        """One more; the oldest goes once the window is full."""
+        """Add a number, in the place of the oldest once the window is full."""
         self._numbers[self._count % len(self._numbers)] = number
         self._count += 1
 
     def clear(self) -> None:
-        """Forget all."""
+        """Forget all numbers."""
         self._count = 0
         self._found = 0, Regularity(math.nan, math.nan, math.nan, math.nan)
 
     @property
-    def numbers(self) -> np.ndarray:
-        """(n,), in no particular order."""
+    def numbers(self) -> Array:
+        """The numbers (m,), in the series' unit (intervals: s), in no
+        particular order.
+        """
         return self._numbers[: min(self._count, len(self._numbers))]
 
     def percentiles(self, *percents: float) -> list[float]:
-        """Nan without numbers."""
+        """Percentiles of the numbers; nan without any."""
         return (
             np.percentile(self.numbers, percents).tolist()
             if self._count
@@ -57,7 +59,7 @@ class Window:
         )
 
     def regularity(self) -> Regularity:
-        """Of intervals, s; computed once for the same ones."""
+        """The statistics of intervals, s, computed once for the same ones."""
         if self._found[0] != self._count:
             numbers = self.numbers
             mean = float(numbers.mean())

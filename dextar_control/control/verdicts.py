@@ -1,6 +1,4 @@
-"""Crossed or bounced: what became of each planned crossing, as the estimator sees
-it.
-"""
+"""Verdicts on the planned crossings: crossed or bounced, by the estimator's belief."""
 
 from __future__ import annotations
 
@@ -18,13 +16,11 @@ from dextar_control.model.model import Model
 from dextar_control.planning.certificate import Certificate
 
 OPEN_BEFORE = 0.02  # s before a planned crossing from which on it counts as begun
-TYPE1_END = (
-    0.1  # distance to Type 1 at which a robot without control is followed no further
-)
+TYPE1_END = 0.1  # distance to Type 1 at which a coasting robot is judged no further
 
 
 class Verdict(IntEnum):
-    """What became of a planned crossing, as the estimator sees it."""
+    """The verdict on a planned crossing."""
 
     UNDECIDED = 0
     CROSSED = 1
@@ -32,7 +28,7 @@ class Verdict(IntEnum):
 
 
 class Passed(NamedTuple):
-    """One planned crossing and what the estimator made of it."""
+    """One planned crossing with its verdict."""
 
     planned_time: float  # since the trajectory's start, s
     verdict: Verdict
@@ -42,7 +38,10 @@ class Passed(NamedTuple):
 
 class CrossingJudge:
     """Compares the believed assembly mode with the plan's, while a trajectory is
-    tracked and after the robot was let go.
+    tracked and after the law stopped acting.
+
+    Args:
+        model: of the robot.
 
     Attributes:
         passed: the planned crossings of the last trajectory, in their order.
@@ -50,18 +49,16 @@ class CrossingJudge:
 
     def __init__(self, model: Model) -> None:
         self.passed: list[Passed] = []
-        self._unsure: list[tuple[float, float] | None] = [None] * len(
-            model.blocks
-        )  # since when clear of the locus, s, and the
-        # largest error since the side was known, m
+        # of each block: since when it is unsure clear of the locus, s, and the largest
+        # error since the side was known, m
+        self._unsure: list[tuple[float, float] | None] = [None] * len(model.blocks)
         self._model = model
         self._times: list[float] = []
         self._signs: list[float] = []
         self._blocks: list[int] = []
         self._start = 0.0
-        self._settled = [-math.inf] * len(
-            model.blocks
-        )  # s; until then what was said of a block stands while its side is kept
+        # s, until which a block's verdict stands while its side is kept
+        self._settled = [-math.inf] * len(model.blocks)
         self._open: list[int] = []
 
     def configure(self, settings: Settings) -> None:
@@ -70,24 +67,22 @@ class CrossingJudge:
         self._patience, self._suspect = settings.side_time, settings.side_error
 
     def begin(self, certificate: Certificate, start: float) -> None:
-        """A checked trajectory is tracked from ``start`` on, s."""
+        """Begin a checked trajectory, tracked from ``start`` on, s."""
         self.passed = [
             Passed(float(time), Verdict.UNDECIDED, 0.5, math.nan)
             for time in certificate.crossing_times
         ]
-        self._times, self._signs = (
-            certificate.crossing_times.tolist(),
-            certificate.crossing_signs.tolist(),
-        )
+        self._times = certificate.crossing_times.tolist()
+        self._signs = certificate.crossing_signs.tolist()
         self._blocks = certificate.crossing_blocks.tolist()
         self._start, self._settled = start, [-math.inf] * len(self._model.blocks)
 
     def let_go(self, time: float) -> None:
-        """The robot is let go while it moves: the crossing of each block that has begun
-        is still to be judged.
+        """Keep the crossing of each block that has begun to be judged, as the law stops
+        acting at ``time``, s.
 
-        But for one that it has crossed where it is nearer to the next one: it may coast
-            through that.
+        A crossing that has succeeded is judged no further where the next one is nearer,
+        through which the robot may coast.
         """
         self._unsure, self._open = [None] * len(self._model.blocks), []
         for block in range(len(self._model.blocks)):
@@ -95,14 +90,12 @@ class CrossingJudge:
             if current < 0:
                 continue
             halfway = 0.5 * (self._times[current] + self._next(current, block))
-            if not (
-                self.passed[current].verdict is Verdict.CROSSED
-                and time - self._start > halfway
-            ):
+            crossed = self.passed[current].verdict is Verdict.CROSSED
+            if not (crossed and time - self._start > halfway):
                 self._open.append(current)
 
     def close(self) -> None:
-        """What the robot does from now on is no part of a crossing."""
+        """Judge no crossing any further."""
         self._open = []
 
     def compare(
@@ -113,19 +106,20 @@ class CrossingJudge:
         moving: bool,
         watched: Supervisor,
     ) -> str:
-        """Away from the locus: a verdict where the estimator is sure. What is wrong, or
-        nothing.
+        """Give verdicts away from the locus, where the estimator is sure.
 
-        An estimator that tells the side and stays unsure of it for too long is wrong
-        too where the robot has not followed the plan since: it may be on the other
-        side. Who was sent back at the locus did not follow it, and who did was not.
+        An estimator that tells the side, but stays unsure of it for too long after the
+        robot has left the plan, is a problem too: the robot may be on the other side.
 
         Args:
             time: of the sample, s.
             s_ref: of the reference, of each block of A_r.
             estimator: whose belief is compared.
-            moving: a trajectory is tracked; otherwise a point is held.
-            watched: with the distance between reference and estimate.
+            moving: whether a trajectory is tracked; otherwise a point is held.
+            watched: knows the distance between reference and estimate.
+
+        Returns:
+            A sentence that says what is wrong; "" for nothing.
         """
         problem, modes = "", estimator.modes
         for block, s in enumerate(s_ref):
@@ -170,14 +164,12 @@ class CrossingJudge:
         confidence: float,
         watched: Supervisor,
     ) -> str:
-        """One more sample with a side that is not known, clear of the locus or not:
-        what is wrong, or nothing.
+        """Take a sample at which a block's side is not known, clear of the locus or
+        not; a sentence that says what is wrong, or "".
         """
         since, error = self._unsure[block] or (math.nan, 0.0)
-        since, error = (
-            (time if math.isnan(since) else since) if clear else math.nan,
-            max(error, watched.error),
-        )
+        since = (time if math.isnan(since) else since) if clear else math.nan
+        error = max(error, watched.error)
         self._unsure[block] = since, error
         if not (time - since > self._patience and error > self._suspect):
             return ""
@@ -188,14 +180,14 @@ class CrossingJudge:
         )
 
     def compare_afterwards(self, time: float, estimator: Estimator) -> str:
-        """The side on which a robot ends that was let go during a crossing: it may
-        change as it coasts.
+        """Give verdicts after the law stopped acting during a crossing; they may change
+        as the robot coasts.
 
-        Until it comes near Type 1: behind that lies another working mode, which the
-            model does not follow.
+        They end where the robot comes near Type 1: behind it lies another working mode,
+        which the model does not follow.
 
         Returns:
-            That it bounced, where that is news; else nothing.
+            That it bounced, where that is new; else "".
         """
         news, estimate = "", estimator.estimate
         for current in self._open:
@@ -212,8 +204,8 @@ class CrossingJudge:
         return news
 
     def _current(self, time: float, block: int) -> int:
-        """Index of a block's last planned crossing that has begun; -1 before the first
-        and without a trajectory.
+        """The index of a block's last planned crossing that has begun; -1 before the
+        first and without a trajectory.
         """
         current = bisect.bisect_right(self._times, time - self._start + OPEN_BEFORE) - 1
         while current >= 0 and self._blocks[current] != block:
@@ -221,18 +213,17 @@ class CrossingJudge:
         return current
 
     def _next(self, current: int, block: int) -> float:
-        """When a block's next planned crossing is, since the trajectory's start, s; inf
-        without.
+        """The time of a block's next planned crossing since the trajectory's start, s;
+        inf without one.
         """
-        coming = zip(
-            self._times[current + 1 :], self._blocks[current + 1 :], strict=True
-        )
+        rest = slice(current + 1, None)
+        coming = zip(self._times[rest], self._blocks[rest], strict=True)
         return next((at for at, of in coming if of == block), math.inf)
 
     def _judge(
         self, time: float, index: int, verdict: Verdict, confidence: float
     ) -> bool:
-        """Whether the verdict is another one than before."""
+        """Set a verdict; whether it is another one than before."""
         if index < 0 or self.passed[index].verdict is verdict:
             return False
         self.passed[index] = self.passed[index]._replace(

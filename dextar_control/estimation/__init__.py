@@ -1,3 +1,3 @@
-"""Where the platform is, in which assembly mode, and how sure that is: from active
-joints, and from a camera.
+"""Estimators of the platform's state and assembly mode, from the active joints and
+from external positions.
 """

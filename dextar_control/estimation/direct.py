@@ -1,5 +1,5 @@
-"""Platform state by the direct geometric model, the paper's estimator, with its
-precautions (section 4.2).
+"""The platform's state by the direct geometric model, with the paper's precautions
+(section 4.2).
 
 Away from the locus the direct model gives the platform. Near it that amplifies any
 joint error along t_s and, at folded points, does not exist. The precautions:
@@ -17,7 +17,6 @@ joint error along t_s and, at folded points, does not exist. The precautions:
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -30,7 +29,13 @@ from dextar_control.estimation.records import ESTIMATE, REFERENCE
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.model import Model, equations_of
-from dextar_control.symbols.functions import Library, cache_folder, in_place, named
+from dextar_control.symbols.functions import (
+    Fast,
+    Library,
+    cache_folder,
+    in_place,
+    named,
+)
 from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.singular import singular_vectors
 from dextar_control.symbols.smooth import smooth_step
@@ -41,7 +46,7 @@ REFINEMENTS = 2  # Newton steps of the strong directions inside the zone
 
 @lru_cache
 def direct_of(mechanism: Mechanism) -> Library:
-    """The direct estimators' steps as functions.
+    """The functions of the direct estimators: ``follow`` and ``coast``.
 
     Raises:
         ParameterError: the mechanism has no direct model in closed form.
@@ -49,10 +54,8 @@ def direct_of(mechanism: Mechanism) -> Library:
     n = mechanism.n
     vector, p = mechanism.symbols()
     joints, estimates = Layout("joints", n, JOINTS), Layout("estimate", n, ESTIMATE)
-    (memory_vector, memory), (before_vector, before) = (
-        joints.symbols("memory"),
-        estimates.symbols(),
-    )
+    memory_vector, memory = joints.symbols("memory")
+    before_vector, before = estimates.symbols()
     ref_vector, ref = Layout("reference", n, REFERENCE).symbols()
     q_meas = ca.SX.sym("q_meas", n)
     dt, bandwidth, mode, zone, width, outside, returning = (
@@ -174,7 +177,9 @@ def direct_of(mechanism: Mechanism) -> Library:
 
 
 class DirectEstimator(Estimator):
-    """``dgm``: the direct geometric model but within ``hold_zone`` of the locus."""
+    """The estimator ``dgm``: the direct geometric model, but within ``hold_zone`` of
+    the locus the reference.
+    """
 
     held = True
 
@@ -188,11 +193,8 @@ class DirectEstimator(Estimator):
         self._memory = Layout("joints", model.n, JOINTS).make()
         self._outside = np.inf
         super().__init__(model, settings, min_type1, estimate)
-        library, memory, shown = (
-            direct_of(model.mechanism),
-            self._memory.numbers,
-            self.estimate.numbers,
-        )
+        library = direct_of(model.mechanism)
+        memory, shown = self._memory.numbers, self.estimate.numbers
         shared = {
             "p": model.p,
             "memory": memory,
@@ -200,32 +202,28 @@ class DirectEstimator(Estimator):
             "estimate": shown,
             "estimate_next": shown,
         }
-        self._follow, self._coast = (
-            library.fast("follow", **shared),
-            library.fast("coast", **shared),
-        )
+        self._follow = library.fast("follow", **shared)
+        self._coast = library.fast("coast", **shared)
 
     def configure(self, settings: Settings) -> None:
         """See ``Estimator``."""
         super().configure(settings)
-        self._bandwidth, self._return_time = (
-            settings.filter_bandwidth,
-            settings.return_time,
-        )
+        self._bandwidth = settings.filter_bandwidth
+        self._return_time = settings.return_time
 
     def start(self, x: Array, q_a: Array, assembly_mode: int) -> None:
-        """See ``Estimator``."""
+        """See ``Estimator``: x (n,), m, q_a (n,), rad."""
         self._memory.q, self._memory.q_dot = q_a, 0.0
         self.rebase(q_a)
         self.tell_mode(assembly_mode, q_a)
 
     def tell_mode(self, assembly_mode: int, q_a: Array) -> None:
-        """See ``Estimator``."""
+        """See ``Estimator``: q_a (n,), rad."""
         self.believe(assembly_mode, 1.0)
         self._known = True
 
     def rebase(self, q_a: Array) -> None:
-        """See ``Estimator``."""
+        """See ``Estimator``: q_a (n,), rad."""
         self._memory.q_ref, self._memory.q_ref_dot = q_a, 0.0
         self._outside = np.inf
 
@@ -234,18 +232,15 @@ class DirectEstimator(Estimator):
         super().release(crossing)
         self._memory.q_ref, self._memory.q_ref_dot = self._memory.q, 0.0
 
-    def _take(self, step: Any, dt: float, q_a: Array) -> None:
+    def _take(self, step: Fast, dt: float, q_a: Array) -> None:
         given = step.arguments
-        given.q_meas[:] = q_a
-        given.dt[0], given.bandwidth[0], given.assembly_mode[0] = (
-            dt,
-            self._bandwidth,
-            self.estimate.assembly_mode,
-        )
+        given.q_meas[:], given.dt[0] = q_a, dt
+        given.bandwidth[0] = self._bandwidth
+        given.assembly_mode[0] = self.estimate.assembly_mode
         step.run()
 
     def observe(self, dt: float, q_a: Array, tau: Array) -> None:
-        """See ``Estimator``: about the joints' last place."""
+        """See ``Estimator``: q_a (n,), rad, tau (n,), N m; about the last joints."""
         self._take(self._coast, dt, q_a)
 
     def track(
@@ -257,8 +252,8 @@ class DirectEstimator(Estimator):
         zone: float,
         width: float,
     ) -> None:
-        """See ``Estimator``: about the reference, with which the direct model's branch
-        changes.
+        """See ``Estimator``: q_a (n,), rad, tau (n,), N m; about the reference, with
+        which the direct model's branch changes.
         """
         s_ref = reference.s
         if s_ref * self.estimate.assembly_mode < 0.0:
@@ -266,15 +261,13 @@ class DirectEstimator(Estimator):
         given = self._follow.arguments
         given.reference[:] = reference.numbers
         given.zone[0], given.width[0] = zone if self.held else 0.0, width
-        given.time_outside[0], given.time_return[0] = (
-            min(self._outside, 1e9),
-            self._return_time,
-        )
+        given.time_outside[0] = min(self._outside, 1e9)
+        given.time_return[0] = self._return_time
         self._take(self._follow, dt, q_a)
         self._outside = self._outside + dt if abs(s_ref) > zone else 0.0
 
 
 class PlainEstimator(DirectEstimator):
-    """``plain``: the direct geometric model everywhere."""
+    """The estimator ``plain``: the direct geometric model everywhere."""
 
     held = False

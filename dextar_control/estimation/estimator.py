@@ -30,14 +30,14 @@ ESTIMATORS: dict[str, Callable[[Model, Settings, float, Record | None], Estimato
     "observer": ObserverEstimator,
     "external": ExternalEstimator,
 }
-"""Ours by their names."""
+"""The estimators of this package by their names."""
 
 
 def make_estimator(
     model: Model, settings: Settings, min_type1: float, estimate: Record | None = None
 ) -> Estimator:
-    """The estimator that the settings name: of ``ESTIMATORS``, or ``module:class`` of
-    one's own.
+    """Make the estimator that the settings name: of ``ESTIMATORS``, or ``module:class``
+    of one's own.
 
     Args:
         model: of the robot, as the controller knows it.

@@ -1,7 +1,7 @@
-"""``external``: the observer fused with positions that a camera measures, which arrive
-late, or wrong, or not at all.
+"""The estimator ``external``: the observer fused with positions of a camera, which
+arrive late, or wrong, or not at all.
 
-Between the positions, and when they stop, it is the observer. What it does with one:
+Between the positions, and when they stop, it is the observer. How it takes a position:
 ``estimation.out_of_sequence``.
 """
 
@@ -13,14 +13,14 @@ import numpy as np
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.settings import Settings
-from dextar_control.estimation.estimate import Pose
+from dextar_control.estimation.estimate import ExternalPosition
 from dextar_control.estimation.observing import ObserverEstimator
 from dextar_control.estimation.out_of_sequence import (
     SAME_TIME,
     USED,
-    Fate,
-    History,
-    Sight,
+    PositionLimits,
+    PositionOutcome,
+    SampleHistory,
 )
 from dextar_control.model.model import Model
 from dextar_control.symbols.record import Record
@@ -28,11 +28,11 @@ from dextar_control.symbols.types import Array
 
 
 class ExternalEstimator(ObserverEstimator):
-    """``external``.
+    """The estimator ``external``.
 
     Attributes:
-        fates: how many positions had which fate.
-        outages: how often the positions stopped.
+        outcomes: number of positions by their outcome.
+        outages: number of times that the positions stopped.
     """
 
     takes_poses = True
@@ -49,11 +49,11 @@ class ExternalEstimator(ObserverEstimator):
                 "estimator external needs an A_r of one block; that of"
                 f" {model.mechanism.name} has {count}"
             )
-        self.fates: Counter[Fate] = Counter()
+        self.outcomes: Counter[PositionOutcome] = Counter()
         self.outages = 0
         self._forget()
         super().__init__(model, settings, min_type1, estimate)
-        self._history = History(self.observer)
+        self._history = SampleHistory(self.observer)
 
     def configure(self, settings: Settings) -> None:
         """See ``Estimator``.
@@ -67,16 +67,16 @@ class ExternalEstimator(ObserverEstimator):
                     f"{name} = {getattr(settings, name)}; it must be > 0"
                 )
         super().configure(settings)
-        self._sight = Sight(settings.pose_deviation, settings.pose_gate**2)
+        self._limits = PositionLimits(settings.pose_deviation, settings.pose_gate**2)
         self._gate, self._timeout = settings.pose_gate, settings.pose_timeout
 
     def _forget(self) -> None:
-        self._waiting: list[tuple[Pose, float]] = []
+        self._waiting: list[tuple[ExternalPosition, float]] = []
         self._last_stamp = -np.inf
         self._silence = 0.0
         self._silent = False
         self._absence = 0.0
-        self._last_fate = Fate.TAKEN
+        self._last_outcome = PositionOutcome.TAKEN
         self.note = ""
 
     def _begin(self, x: Array, q_a: Array, assembly_mode: int, speed: float) -> None:
@@ -84,9 +84,9 @@ class ExternalEstimator(ObserverEstimator):
         self._forget()
         self._history.begin()
 
-    def take_pose(self, pose: Pose, time: float) -> None:
-        """See ``Estimator``; it is used with the sample of that time, which has to
-        follow.
+    def take_pose(self, pose: ExternalPosition, time: float) -> None:
+        """See ``Estimator``; the position is used with the sample of ``time``, which
+        has to follow.
         """
         age = time - pose.time
         if self._silent:
@@ -94,18 +94,18 @@ class ExternalEstimator(ObserverEstimator):
         self._silence = 0.0
         if not np.isfinite([age, *pose.x]).all():
             self._refuse(
-                Fate.NOT_FINITE,
+                PositionOutcome.NOT_FINITE,
                 f"external position {tuple(pose.x)} m at {pose.time} s is not finite",
             )
         elif age < -SAME_TIME:
             self._refuse(
-                Fate.FUTURE,
+                PositionOutcome.FUTURE,
                 f"external position of {pose.time:.6f} s is {-1e3 * age:.3f} ms ahead"
                 f" of the state at {time:.6f} s",
             )
         elif not pose.time > self._last_stamp:
             self._refuse(
-                Fate.OUT_OF_ORDER,
+                PositionOutcome.OUT_OF_ORDER,
                 f"external position of {pose.time:.6f} s is not after the last one, of"
                 f" {self._last_stamp:.6f} s",
             )
@@ -125,46 +125,48 @@ class ExternalEstimator(ObserverEstimator):
         if self._silence > self._timeout and not self._silent:
             self._silent = True
             self.outages += 1
-            self._last_fate = Fate.TAKEN
+            self._last_outcome = PositionOutcome.TAKEN
             self.note = (
                 f"no external position for {self._silence:.3f} s (limit {self._timeout}"
                 " s): the encoders serve alone"
             )
         self.observer.tell_side()
 
-    def _take(self, pose: Pose, age: float) -> None:
+    def _take(self, pose: ExternalPosition, age: float) -> None:
         x = np.array(pose.x, dtype=np.float64)
-        fate = self._history.take_position(self._sight, age, x, self._last_fate in USED)
+        outcome = self._history.take_position(
+            self._limits, age, x, self._last_outcome in USED
+        )
         where = (
             f"external position ({pose.x[0]:.4f}, {pose.x[1]:.4f}) m of"
             f" {pose.time:.6f} s"
         )
-        if fate is Fate.TOO_OLD:
+        if outcome is PositionOutcome.TOO_OLD:
             self._refuse(
-                fate,
+                outcome,
                 f"{where} is {1e3 * age:.1f} ms old; the last"
                 f" {1e3 * self._history.reach:.1f} ms are kept",
             )
-        elif fate is Fate.JUMP:
+        elif outcome is PositionOutcome.JUMP:
             off = self._history.distances
             self._refuse(
-                fate,
+                outcome,
                 f"{where} is {1e3 * off.length:.1f} mm from the estimate,"
                 f" {off.estimate:.1f} deviations, and {off.image:.1f} from its mirror"
                 f" image; the limit is {self._gate:g}",
             )
-        elif fate in USED:
-            self._use(fate, where)
+        elif outcome in USED:
+            self._use(outcome, where)
         else:
-            self.fates[fate] += 1
+            self.outcomes[outcome] += 1
 
-    def _use(self, fate: Fate, where: str) -> None:
-        self.fates[fate] += 1
-        self._last_fate = fate
+    def _use(self, outcome: PositionOutcome, where: str) -> None:
+        self.outcomes[outcome] += 1
+        self._last_outcome = outcome
         self.note = ""
         if self._absence > 0.0:
             self.note = f"external positions are back after {self._absence:.3f} s"
-        elif fate is Fate.SWAPPED:
+        elif outcome is PositionOutcome.SWAPPED:
             self.note = (
                 f"{where} fits the mirror image of the estimate,"
                 f" {1e3 * self._history.distances.length:.1f} mm away: the assembly"
@@ -172,9 +174,9 @@ class ExternalEstimator(ObserverEstimator):
             )
         self._absence = 0.0
 
-    def _refuse(self, fate: Fate, text: str) -> None:
-        """Count it, and say so once in a row."""
-        self.fates[fate] += 1
-        if fate is not self._last_fate:
+    def _refuse(self, outcome: PositionOutcome, text: str) -> None:
+        """Count a refused position; note it where the last had another outcome."""
+        self.outcomes[outcome] += 1
+        if outcome is not self._last_outcome:
             self.note = text
-        self._last_fate = fate
+        self._last_outcome = outcome

@@ -1,16 +1,15 @@
-"""The Kalman filter over the Cartesian dynamics, on symbols: regular on the Type 2
-locus, no direct model.
+"""The extended Kalman filter over the Cartesian dynamics, on symbols: it is regular on
+the Type 2 locus and needs no direct model.
 
-State (x, x_dot, b, d). Process: x_ddot by the forward dynamics under the torque that
-was commanded and d, which is regular on the locus; near it the input torques do not act
-along t_s, so the filter coasts there. Measurement: q_a = inverse geometric model(x) +
-b, regular as well; along t_s it says nothing on the locus. Where the transmission is
-compliant its twist comes to it, which follows from the torque
-(``estimation.transmission``). b (n,) is what a wrong geometry adds to the joint angles:
-without it a tenth of a millimetre is taken for motion along t_s, amplified by 1/s.
-Where the weak direction of J_inv does not see x it sees b. d (n,) is what acts on the
-joints and the model lacks: friction, tilt, a payload, wrong masses. Friction turns
-round with its joint.
+State (x, x_dot, b, d). Process: x_ddot by the forward dynamics under the commanded
+torque and d, which is regular on the locus; near it the input torques do not act along
+t_s, so the filter coasts there. Measurement: q_a = inverse geometric model(x) + b,
+regular as well; on the locus it has no component along t_s. Where the transmission is
+compliant its twist is added, which follows from the torque
+(``estimation.transmission``). b (n,) is the error of the joints by a wrong geometry:
+without it a tenth of a millimetre is taken for motion along t_s, amplified by 1/s. d
+(n,) are torques on the joints that are not modelled: friction, tilt, a payload, wrong
+masses.
 """
 
 from __future__ import annotations
@@ -33,65 +32,44 @@ from dextar_control.symbols.singular import blocks
 from dextar_control.symbols.smooth import is_finite, smooth_step
 from dextar_control.symbols.types import Symbol
 
-TURN = 0.05  # rad/s of a joint over which its friction turns round
-# m/s, standard deviation of x_dot beside the filter's own, of a state that may be on
-# the wrong side
+TURN = 0.05  # rad/s of a joint over which its friction changes sign
+# m/s, standard deviation added to x_dot of a state that may be on the wrong side
 UNSURE_SPEED = 0.5
-UNSURE_BIAS = 2.0  # of its b, that x makes up for in the joints, over that of the start
-KEPT = 0.05, 0.3  # |s| between which what is seen begins to correct d
-CLEAR = 0.2, 0.4  # |s| between which the scatter of the samples begins to count
-# times the variance of a sample as it was known, beyond which one jump of the
-# innovation counts for no more
+# standard deviation added to its b, opposed by x in the joints, over that of the start
+UNSURE_BIAS = 2.0
+KEPT = 0.05, 0.3  # |s| over which the samples begin to correct d
+CLEAR = 0.2, 0.4  # |s| over which the scatter of the samples begins to count
+# times the known variance of a sample, at which a jump of the innovation is bounded
 JUMP = 4.0
 # times the twist by the torque of the process noise, that counts as noise of a sample
 TWISTED = 3.0
-SCATTER = (
-    0.02,
-    0.3,
-    # s over which the scatter of the samples is averaged, where it rises and where it
-    # falls
-)
-# s before a position in which at most a blow near the locus may have gone unseen
-BLIND = 0.02
+# s over which the scatter of the samples is averaged, where it rises and where it falls
+SCATTER = 0.02, 0.3
+BLIND = 0.02  # s before a position in which a blow near the locus may be unseen
 
 FILTER = (
     Field("x", "m", "mean of the platform", "n"),
     Field("x_dot", "m/s", "mean of its velocity", "n"),
-    Field("b", "rad", "mean of what a wrong geometry adds to the joints", "n"),
-    Field(
-        "d",
-        "N m",
-        "mean of the torques that act on the joints and that the model lacks",
-        "n",
-    ),
+    Field("b", "rad", "mean error of the joints by a wrong geometry", "n"),
+    Field("d", "N m", "mean of the torques on the joints that are not modelled", "n"),
     Field("x_ddot", "m/s^2", "acceleration of the last prediction", "n"),
     Field("innovation", "rad", "of the last sample", "n"),
     Field("innovation_square", "1", "of the last sample, normalised by its covariance"),
-    Field(
-        "scatter",
-        "rad^2",
-        "of the samples about a smooth motion: mean squared step of the innovation,"
-        " halved",
-        "n",
-    ),
+    Field("scatter", "rad^2", "half the mean squared step of the innovation", "n"),
     Field("twist", "rad", "of the transmissions: motors less joints", "n"),
     Field("twist_dot", "rad/s", "its rate", "n"),
     Field("covariance", "SI", "of (x, x_dot, b, d)", "4n", "4n"),
 )
 NOISE = (
     Field("encoder", "rad", "least standard deviation of a sample"),
-    Field(
-        "scatter_gain",
-        "1",
-        "of the scatter that is seen in the samples, in their variance",
-    ),
+    Field("scatter_gain", "1", "of the samples' scatter in their variance"),
     Field("bias", "rad", "of b at the start"),
     Field("bias_walk", "rad/sqrt(rad)", "of b's random walk as the joints move"),
     Field("torque", "N m", "of a sample's torque: friction and motors"),
     Field("acceleration", "m/s^2", "of a sample's acceleration: masses"),
     Field("disturbance", "N m", "of d at the start"),
     Field("disturbance_walk", "N m/sqrt(s)", "of d's random walk"),
-    Field("disturbance_turn", "N m", "of its change as the joint turns round"),
+    Field("disturbance_turn", "N m", "of d's change as the joint turns round"),
     Field("shock_gate", "1", "squared normalised innovation that only a blow explains"),
     Field("shock_speed", "m/s", "of x_dot after a blow"),
 )
@@ -99,16 +77,9 @@ TOLD = (  # of one block of A_r
     Field("s", "1", "its singularity measure"),
     Field("s_variance", "1", "of s, by the covariance"),
     Field("type1", "1", "least distance of a leg to Type 1"),
-    Field(
-        "folded", "1", "positive where the mirror image is far away even near the locus"
-    ),
-    Field(
-        "square",
-        "1",
-        "normalised, of the innovation of the filter that tells how well the model"
-        " fits; nan without a sample",
-    ),
-    Field("spread", "1", "ln det of its covariance"),
+    Field("folded", "1", "positive where the mirror image is far even near the locus"),
+    Field("square", "1", "normalised, of the innovation of ``same``; nan without one"),
+    Field("spread", "1", "ln det of that innovation's covariance"),
 )
 
 
@@ -137,14 +108,11 @@ class _Filters:
     def begin(
         self, noise: dict[str, Symbol], x: Symbol, speed: Symbol
     ) -> dict[str, Symbol]:
-        """A robot at x (n,), known from its joints: what b may be, x may be off by
-        J_inv^-1 b.
+        """The state of a robot at x (n,), m, known from its joints, so that the errors
+        of x and b oppose each other there.
         """
-        J, one, zero = (
-            ca.inv(self.at(x, ca.SX.zeros(self.n)).J_inv),
-            ca.SX.eye(self.n),
-            ca.SX.zeros(self.n, self.n),
-        )
+        J = ca.inv(self.at(x, ca.SX.zeros(self.n)).J_inv)
+        one, zero = ca.SX.eye(self.n), ca.SX.zeros(self.n, self.n)
         bias, encoder = noise["bias"] ** 2, noise["encoder"] ** 2
         covariance = ca.vertcat(
             ca.horzcat((bias + encoder) * J @ J.T, zero, -bias * J, zero),
@@ -176,35 +144,29 @@ class _Filters:
         *,
         test: bool = False,
     ) -> dict[str, Symbol]:
-        """One step under tau (n,), N m: x_ddot by the forward dynamics in its middle,
-        and the covariance with it.
+        """The state after dt, s, under tau (n,), N m: x_ddot by the forward dynamics in
+        the middle of the step, and the covariance with it.
 
-        b changes with the configuration: it walks as the joints move and stands still
-            with them. A walk in time would let a
-        robot that is held drift away, for at rest the joints cannot tell x from b. The
-        covariance takes x_ddot for independent of the state but d, which over a sample
-        it nearly is. d moves rotors and links as one: what shakes it would else shake
-        the twist, which shakes d. The torque's noise acts through M^-1 J_inv^T: not
-        along t_s on the locus. The d of a filter of the test may turn round with its
-        joint, as friction does.
+        b depends on the configuration, so that its random walk is one of the joints'
+        motion: with a walk in time a robot at rest, whose joints cannot tell x from b,
+        would drift away. The covariance takes x_ddot as independent of the state but d,
+        which over a sample it nearly is. d moves rotors and links as one, so that its
+        changes do not excite the twist. The torque's noise acts through M^-1 J_inv^T:
+        not along t_s on the locus. In a test d may change sign with the joint's
+        velocity, as friction does.
         """
         n, x, x_dot = self.n, state["x"], state["x_dot"]
         e = self.at(
             x + 0.5 * dt * x_dot, x_dot + 0.5 * dt * state["x_ddot"], tau + state["d"]
         )
         G = ca.solve(e.M, e.J_inv.T)  # x_ddot per torque
-        x_ddot, twist, twist_dot = (
-            e.forward_dynamics,
-            state["twist"],
-            state["twist_dot"],
-        )
+        x_ddot = e.forward_dynamics
+        twist, twist_dot = state["twist"], state["twist_dot"]
         if transmission := transmission_over(self.mechanism.transmission(self.p), dt):
             held_back, rotors = transmission.held_back(twist, twist_dot, tau)
             links = e.M - e.J_inv.T @ ca.diag(rotors) @ e.J_inv
-            x_ddot = ca.solve(
-                links,
-                e.J_inv.T @ (tau - e.friction - held_back + rotors * e.drift) - e.h,
-            )
+            acting = tau - e.friction - held_back + rotors * e.drift
+            x_ddot = ca.solve(links, e.J_inv.T @ acting - e.h)
             twist, twist_dot = transmission.after(
                 twist, twist_dot, tau, e.J_inv @ x_ddot + e.drift
             )
@@ -213,12 +175,12 @@ class _Filters:
         F[:n, n : 2 * n] = dt * ca.SX.eye(n)
         F[:n, 3 * n :], F[n : 2 * n, 3 * n :] = 0.5 * dt**2 * G, dt * G
         P = F @ state["covariance"] @ F.T
-        P[n : 2 * n, n : 2 * n] += (dt * noise["torque"]) ** 2 * G @ G.T + (
+        by_torque = (dt * noise["torque"]) ** 2 * G @ G.T
+        P[n : 2 * n, n : 2 * n] += by_torque + (
             dt * noise["acceleration"]
         ) ** 2 * ca.SX.eye(n)
-        P[2 * n : 3 * n, 2 * n : 3 * n] += ca.diag(
-            dt * ca.fabs(e.q_a_dot) * noise["bias_walk"] ** 2
-        )
+        moved = dt * ca.fabs(e.q_a_dot) * noise["bias_walk"] ** 2
+        P[2 * n : 3 * n, 2 * n : 3 * n] += ca.diag(moved)
         walk = dt * noise["disturbance_walk"] ** 2 * ca.SX.ones(n)
         if test:
             turned = ca.fabs(
@@ -243,28 +205,23 @@ class _Filters:
         dt: Symbol,
         struck: Symbol,
     ) -> dict[str, Symbol]:
-        """Where ``struck`` is 1, a blow somewhere in the last dt: x_dot is up to
-        shock_speed off, and x what came of it.
+        """The state with the covariance of a blow in the last dt, s, where ``struck``
+        is 1: shock_speed in x_dot, and what that makes of x.
         """
         n = self.n
         reach = ca.vertcat(dt * ca.SX.eye(n), ca.SX.eye(n), ca.SX.zeros(2 * n, n))
-        return state | {
-            "covariance": (
-                state["covariance"]
-                + struck * noise["shock_speed"] ** 2 * reach @ reach.T
-            )
-        }
+        added = struck * noise["shock_speed"] ** 2 * reach @ reach.T
+        return state | {"covariance": state["covariance"] + added}
 
     def innovation(
         self, state: dict[str, Symbol], q_meas: Symbol
     ) -> tuple[Symbol, Symbol]:
-        """(innovation (n,), rad, of the active joints on any turn, and their Jacobian
+        """(innovation (n,), rad, of the active joints on any turn, their Jacobian H
         (n, 4n)).
         """
         e = self.at(state["x"], ca.SX.zeros(self.n))
-        H = ca.horzcat(
-            e.J_inv, ca.SX(self.n, self.n), ca.SX.eye(self.n), ca.SX(self.n, self.n)
-        )
+        none = ca.SX(self.n, self.n)
+        H = ca.horzcat(e.J_inv, none, ca.SX.eye(self.n), none)
         return wrapped(q_meas - e.q_a - state["b"] - state["twist"]), H
 
     def update(
@@ -276,12 +233,20 @@ class _Filters:
         parts: Sequence[Sequence[int]],
         taken: Symbol | float = 1.0,
     ) -> tuple[dict[str, Symbol], Symbol, Symbol]:
-        """Kalman update: the state, and of each part of the innovation its normalised
-        square and ln det of its covariance.
+        """The Kalman update of a state.
 
         Args:
+            state: before.
+            innovation: (m,).
+            H: Jacobian of the measurement, (m, 4n).
+            variance: of the measurement, (m,) or one for all.
+            parts: rows of the innovation that are judged together.
             taken: share of the gain with which d is corrected; what is not taken of d
                 stays in the covariance (Schmidt's filter).
+
+        Returns:
+            (the state after, the normalised square of each part, ln det of its
+            covariance).
         """
         n, P = self.n, state["covariance"]
         PH, S = _gain_parts(P, H, variance)
@@ -299,11 +264,8 @@ class _Filters:
             ca.dot(innovation[rows], ca.solve(S[rows, rows], innovation[rows]))
             for rows in parts
         ]
-        return (
-            state | changed,
-            ca.vertcat(*squares),
-            ca.vertcat(*(ca.log(ca.det(S[rows, rows])) for rows in parts)),
-        )
+        spreads = [ca.log(ca.det(S[rows, rows])) for rows in parts]
+        return state | changed, ca.vertcat(*squares), ca.vertcat(*spreads)
 
     def correct(
         self,
@@ -312,89 +274,72 @@ class _Filters:
         q_meas: Symbol,
         dt: Symbol,
     ) -> tuple[dict[str, Symbol], Symbol]:
-        """Take the active joints (n,), rad, and see whether the robot was struck in the
-        last dt.
+        """(The state corrected with the active joints (n,), rad, 1 where the robot was
+        struck in the last dt, s).
 
-        The samples count as the worse the more the innovation jumps from one to the
-            next: so it does under wrong stamps, a
-        coarse encoder, and where this filter and the law shake a soft transmission,
-        which then finds less to answer it. What is slow to come, an acceleration that
-        the model has wrong, does not count.
+        The variance of the samples grows with the jumps of the innovation from one to
+        the next, as wrong stamps and a coarse encoder make them, and a soft
+        transmission that this filter and the law excite. Slow changes, as by a wrong
+        acceleration, do not count.
 
-        Near the locus d stays as it is: a force along t_s would take a torque there
-            that grows as 1/s, of the other sign behind
-        the locus.
+        Near the locus d is not corrected: for a force along t_s it would be a torque
+        that grows as 1/s and changes its sign behind the locus.
         """
         innovation, H = self.innovation(state, q_meas)
         least = self.least_variance(noise)
         variance = least + noise["scatter_gain"] * state["scatter"]
         _, S = _gain_parts(state["covariance"], H, least + state["scatter"])
-        struck = ca.if_else(
-            ca.dot(innovation, ca.solve(S, innovation)) > noise["shock_gate"], 1.0, 0.0
-        )
+        square = ca.dot(innovation, ca.solve(S, innovation))
+        struck = ca.if_else(square > noise["shock_gate"], 1.0, 0.0)
         near = ca.fabs(self.at(state["x"], ca.SX.zeros(self.n)).s)
         counts = smooth_step(near, *CLEAR) * (1.0 - struck)
-        most = JUMP * (noise["encoder"] ** 2 + state["scatter"])
-        more = (
-            ca.fmin(0.5 * (innovation - state["innovation"]) ** 2, most)
-            - state["scatter"]
-        )
+        scatter = state["scatter"]
+        most = JUMP * (noise["encoder"] ** 2 + scatter)
+        more = ca.fmin(0.5 * (innovation - state["innovation"]) ** 2, most) - scatter
         rise, fall = (ca.fmin(dt / time, 1.0) for time in SCATTER)
         memory = {
             "innovation": (1.0 - struck) * innovation,
-            "scatter": (
-                state["scatter"] + counts * ca.if_else(more > 0.0, rise, fall) * more
-            ),
+            "scatter": scatter + counts * ca.if_else(more > 0.0, rise, fall) * more,
         }
         taken, parts = smooth_step(near, *KEPT), [range(self.n)]
+        struck_state = self.shocked(noise, state, dt, struck)
         moved, square, _ = self.update(
-            self.shocked(noise, state, dt, struck),
-            innovation,
-            H,
-            variance,
-            parts,
-            taken,
+            struck_state, innovation, H, variance, parts, taken
         )
         return moved | memory | {"innovation_square": square}, struck
 
     def innovate(
         self, noise: dict[str, Symbol], state: dict[str, Symbol], q_meas: Symbol
     ) -> tuple[dict[str, Symbol], Symbol, Symbol]:
-        """Take the active joints (n,), rad; see ``update`` for what is returned, with a
-        part for each block.
+        """The ``update`` with the active joints (n,), rad, with a part for
+        each block.
         """
-        return self.update(
-            state,
-            *self.innovation(state, q_meas),
-            self.least_variance(noise),
-            [rows for rows, _ in self.blocks],
-        )
+        innovation, H = self.innovation(state, q_meas)
+        parts = [rows for rows, _ in self.blocks]
+        return self.update(state, innovation, H, self.least_variance(noise), parts)
 
     def least_variance(self, noise: dict[str, Symbol]) -> Symbol:
-        """Of the samples (n,), rad^2: of the encoder, and of a twist by torques that
-        are not known.
+        """The variance (n,), rad^2, of the samples by the encoder and by a twist under
+        unknown torques.
         """
-        numbers = self.mechanism.transmission(self.p)
-        softness = (
-            0.0
-            if numbers is None
-            else (numbers[1] > 0.0) / ca.fmax(numbers[1], LEAST_STIFFNESS)
-        )
+        softness: Symbol | float = 0.0
+        if numbers := self.mechanism.transmission(self.p):
+            _, stiffness, _ = numbers
+            softness = (stiffness > 0.0) / ca.fmax(stiffness, LEAST_STIFFNESS)
         return noise["encoder"] ** 2 + (TWISTED * noise["torque"] * softness) ** 2
 
     def position(
         self, state: dict[str, Symbol], x_meas: Symbol
     ) -> tuple[Symbol, Symbol]:
-        """(innovation (n,), m, of an external position, and its Jacobian (n, 4n))."""
-        return x_meas - state["x"], ca.horzcat(
-            ca.SX.eye(self.n), ca.SX(self.n, 3 * self.n)
-        )
+        """(innovation (n,), m, of an external position, its Jacobian H (n, 4n))."""
+        H = ca.horzcat(ca.SX.eye(self.n), ca.SX(self.n, 3 * self.n))
+        return x_meas - state["x"], H
 
     def unseen_blow(
         self, noise: dict[str, Symbol], state: dict[str, Symbol]
     ) -> dict[str, Symbol]:
-        """A blow along t_s at any time in the last BLIND, which b may have been taken
-        for.
+        """The state with the covariance of an unseen blow along t_s at any time in the
+        last BLIND, which may have been taken for b.
         """
         n = self.n
         t_s = self.at(state["x"], ca.SX.zeros(n)).singular.v_weak
@@ -409,10 +354,11 @@ class _Filters:
     def unsure(
         self, noise: dict[str, Symbol], state: dict[str, Symbol]
     ) -> dict[str, Symbol]:
-        """A state with which a test begins: followed on the wrong side it had x_dot, b
-        and d wrong, in accord with the joints.
+        """The state with which a test begins: had the filter been on the wrong side,
+        x_dot, b and d would be wrong, in accord with the joints.
 
-        The same is added for it and for its image, so that neither has an advantage.
+        The same covariance is added to the state and to its image, so that neither has
+        an advantage.
         """
         n, one, P = self.n, ca.SX.eye(self.n), ca.SX(state["covariance"])
         P[3 * n :, :] = P[:, 3 * n :] = 0.0
@@ -427,31 +373,29 @@ class _Filters:
     def mirror(
         self, state: dict[str, Symbol], columns: Sequence[int]
     ) -> tuple[dict[str, Symbol], Symbol, Symbol]:
-        """The same joints and velocities in a block's other assembly mode, with its
-        covariance.
+        """The mirror image of a state: the same joints and velocities in a block's
+        other assembly mode, with the covariance.
 
         Returns:
-            The image, the parameters of its working mode, which may be another one, and
-            its distance to Type 1, 0 where there is no image.
+            (the image, the parameters of its working mode, which may be another one,
+            its distance to Type 1, 0 where there is no image).
         """
         n, mechanism = self.n, self.mechanism
         e = self.at(state["x"], state["x_dot"])
         other = ca.SX(state["x"])
-        other[columns] = mirror_image(self.mechanism, e.q_a, state["x"], self.p)[
-            columns
-        ]
+        turned = mirror_image(self.mechanism, e.q_a, state["x"], self.p)
+        other[columns] = turned[columns]
         J = ca.inv(self._equations.at(self.vector, e.q_a, other, ca.SX.zeros(n)).J_inv)
         T = ca.SX.eye(4 * n)
         T[:n, :n] = T[n : 2 * n, n : 2 * n] = J @ e.J_inv
         sines, sines_here = (
             mechanism.type1_sines(e.q_a, place, self.p) for place in (other, state["x"])
         )
-        p, rows = ca.SX(self.vector), mechanism.rows_of("working_mode")
+        p, rows = ca.SX(self.vector), mechanism.rows().get("working_mode")
         if rows is not None:
             p[rows] *= ca.if_else(sines * sines_here < 0.0, -1.0, 1.0)
-        off = ca.norm_1(
-            mechanism.inverse_geometric_model(other, mechanism.named(p)) - e.q_a
-        )
+        q_a = mechanism.inverse_geometric_model(other, mechanism.named(p))
+        off = ca.norm_1(q_a - e.q_a)
         image = state | {
             "x": other,
             "x_dot": J @ e.q_a_dot,
@@ -463,23 +407,21 @@ class _Filters:
     def look(
         self, state: dict[str, Symbol], estimate: dict[str, Symbol], *sample: Symbol
     ) -> dict[str, Symbol]:
-        """Where the mean is with respect to the locus of each block, beside what the
-        sample told of it; and the estimate.
+        """The records of TOLD, one for each block, and the estimate, whose assembly
+        mode stays.
 
-        The side in the estimate stays.
+        Args:
+            state: of the main filter.
+            estimate: before.
+            sample: (normalised square of the innovation, ln det of its covariance) of
+                each block, (k,) each; none without a sample.
         """
         n, x = self.n, ca.SX.sym("x", self.n)
-        slopes = ca.substitute(
-            ca.jacobian(self.at(x, ca.SX.zeros(n)).s_blocks, x), x, state["x"]
-        )
-        e = self.at(state["x"], state["x_dot"])
-        folded = self.mechanism.folded(e.q_a, state["x"], self.p) * ca.SX.ones(
-            len(self.blocks)
-        )
-        square, spread = sample or (
-            ca.SX.nan(len(self.blocks)),
-            ca.SX.nan(len(self.blocks)),
-        )
+        slopes = ca.jacobian(self.at(x, ca.SX.zeros(n)).s_blocks, x)
+        slopes = ca.substitute(slopes, x, state["x"])
+        e, k = self.at(state["x"], state["x_dot"]), len(self.blocks)
+        folded = self.mechanism.folded(e.q_a, state["x"], self.p) * ca.SX.ones(k)
+        square, spread = sample or (ca.SX.nan(k), ca.SX.nan(k))
         told = [
             self.told.join(
                 {
@@ -493,19 +435,8 @@ class _Filters:
             )
             for block, slope in enumerate(ca.vertsplit(slopes))
         ]
-        now = {
-            name: state[name]
-            for name in (
-                "x",
-                "x_dot",
-                "d",
-                "b",
-                "twist_dot",
-                "innovation",
-                "innovation_square",
-            )
-        }
-        now |= {
+        own = {field.name for field in ESTIMATE} & state.keys()
+        now = {name: state[name] for name in own} | {
             "q_a": e.q_a + state["b"] + state["twist"],
             "q_a_dot": e.q_a_dot,
             "s": e.s,
@@ -517,19 +448,19 @@ class _Filters:
 
 
 def _gain_parts(P: Symbol, H: Symbol, variance: Symbol) -> tuple[Symbol, Symbol]:
-    """P H^T and H P H^T + variance 1."""
+    """(P H^T, S = H P H^T + variance), of which the Kalman gain is made."""
     PH = P @ H.T
     return PH, H @ PH + ca.diag(variance * ca.SX.ones(H.shape[0]))
 
 
 def _symmetric(matrix: Symbol) -> Symbol:
-    """Of a matrix that is symmetric but for rounding, from its lower triangle."""
+    """The symmetric matrix of the lower triangle of one that is so but for rounding."""
     return ca.tril2symm(ca.tril(matrix))
 
 
 @lru_cache
 def filters_of(mechanism: Mechanism) -> Library:
-    """The steps of the filter as functions; records go by their vectors."""
+    """The steps of the filter as functions of the records' vectors."""
     f, n = _Filters(mechanism), mechanism.n
     state_vector, state = f.filter.symbols()
     noise_vector, noise = f.noise.symbols()
@@ -538,12 +469,8 @@ def filters_of(mechanism: Mechanism) -> Library:
         ca.SX.sym(name) for name in ("dt", "gap", "speed", "deviation")
     )
     estimate_vector, estimate = f.estimate.symbols()
-    p, whole, told, shown = (
-        {"p": f.vector},
-        {"filter": state_vector},
-        {"noise": noise_vector},
-        {"estimate": estimate_vector},
-    )
+    p, whole = {"p": f.vector}, {"filter": state_vector}
+    told, shown = {"noise": noise_vector}, {"estimate": estimate_vector}
 
     images = [f.mirror(state, columns) for _, columns in f.blocks]
     corrected, struck = f.correct(noise, state, q_meas, dt)
@@ -556,8 +483,7 @@ def filters_of(mechanism: Mechanism) -> Library:
         state, *f.position(state, x_meas), deviation**2, [range(n)]
     )
 
-    # One sample of the filter that serves and of the one that tells how well the model
-    # fits.
+    # one sample of the main filter and of the hypothesis "same"
     same_vector, same = f.filter.symbols("same")
     test_vector, test = f.noise.symbols("test_noise")
     main, hit = f.correct(noise, f.predict(noise, state, tau, dt), q_meas, gap)

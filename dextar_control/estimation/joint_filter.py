@@ -1,5 +1,5 @@
-"""Velocities of the joints from their angles: a tracker about a reference's own
-motion.
+"""Velocities of the joints from their angles, by a tracker about a
+reference's motion.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ def track_joints(
 
     Args:
         memory: of the filter.
-        q_meas: (n,) rad, on any turn.
-        q_ref, q_ref_dot: (n,) of the reference now.
+        q_meas: measured joints, (n,), rad, on any turn.
+        q_ref, q_ref_dot: of the reference now, (n,), rad, rad/s.
         dt: since the last sample, s.
         bandwidth: rad/s.
     """
@@ -54,15 +54,12 @@ def track_joints(
 
 @lru_cache
 def joint_filter_of(mechanism: Mechanism) -> Library:
-    """``joints``: one sample about the joints' last place, at rest."""
+    """The function ``joints``: one sample about the joints' last position, at rest."""
     n = mechanism.n
     layout = Layout("joints", n, JOINTS)
     vector, memory = layout.symbols("memory")
-    q_meas, dt, bandwidth = (
-        ca.SX.sym("q_meas", n),
-        ca.SX.sym("dt"),
-        ca.SX.sym("bandwidth"),
-    )
+    q_meas, dt = ca.SX.sym("q_meas", n), ca.SX.sym("dt")
+    bandwidth = ca.SX.sym("bandwidth")
     coasting = track_joints(
         memory, q_meas, memory["q_ref"], ca.SX.zeros(n), dt, bandwidth
     )
@@ -74,7 +71,7 @@ def joint_filter_of(mechanism: Mechanism) -> Library:
 
 
 class JointFilter:
-    """The joints' own motion where there is no reference."""
+    """The filter of the joints where there is no reference."""
 
     def __init__(self, mechanism: Mechanism) -> None:
         self.memory = Layout("joints", mechanism.n, JOINTS).make()
@@ -83,11 +80,13 @@ class JointFilter:
         )
 
     def set(self, q: Array, q_dot: Array | float) -> None:
-        """The joints are here (n,), rad, and move so, rad/s."""
+        """Set the joints (n,), rad, and their velocities (n,), rad/s."""
         self.memory.q, self.memory.q_dot = q, q_dot
 
     def take(self, q_meas: Array, dt: float, bandwidth: float) -> None:
-        """One sample; begun anew where the memory is not finite."""
+        """Take a sample (n,), rad, dt, s, after the last; begin anew where the memory
+        is not finite.
+        """
         memory, given = self.memory, self._step.arguments
         if not np.isfinite(memory.q + memory.q_dot).all():
             self.set(q_meas, 0.0)

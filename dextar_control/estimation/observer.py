@@ -1,5 +1,5 @@
-"""The observer: the filter that serves, the two of the test of crossed against bounced,
-and the belief about the side.
+"""The observer: the main filter, the two filters of the test of crossed against
+bounced, and the belief about the side of the locus.
 """
 
 from __future__ import annotations
@@ -7,36 +7,34 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dextar_control.estimation.belief import CERTAIN, DOUBT_S, Belief, log_odds_of_side
 from dextar_control.estimation.filters import FILTER, NOISE, TOLD, filters_of
 from dextar_control.estimation.records import ESTIMATE
 from dextar_control.model.model import Model
-from dextar_control.symbols.functions import Fast
+from dextar_control.symbols.functions import Fast, Results
 from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.types import Array
 
 REST_SPEED = 1e-3  # m/s, standard deviation of a robot at rest
-MAX_STEP = 1e-3 * (
-    1.0 + 1e-6
-)  # s of one prediction; a longer gap is predicted in several
-LONG = 0.1  # s of a gap over which nothing is predicted any more
+# s of one prediction; a longer gap is predicted in several
+MAX_STEP = 1e-3 * (1.0 + 1e-6)
+LONG = 0.1  # s of a gap over which nothing is predicted
 UNKNOWN = math.nan, math.nan
-LEAST_LACKING = (
-    5e-4  # N m at a joint that a test allows for, however well the model has fitted
-)
+# N m at a joint that a test allows for, however well the model has fitted
+LEAST_LACKING = 5e-4
 WALK = 0.5  # 1/sqrt(s), of such a torque's random walk over itself
-# m/s of the platform on either side, from which on a sample tells something of the side
+# m/s of the platform under either hypothesis, from which a sample counts in a test
 MOVING = 5e-3
-# of the least distance to Type 1, below which the working mode is no longer sure
-LOST = 0.5
+LOST = 0.5  # of the least distance to Type 1, below which the working mode is unsure
 
 
-class Passage(NamedTuple):
-    """When the sequential test begins and ends."""
+class TestLimits(NamedTuple):
+    """The limits at which the sequential test begins and ends."""
 
     armed: float  # |s| within which the assembly mode counts as unknown
     begin: float  # |s| outside which the mirror image can be told from the state
@@ -45,18 +43,17 @@ class Passage(NamedTuple):
 
 @dataclass(slots=True)
 class Side:
-    """What is known of one block of A_r: on which side of its locus the robot is.
+    """One block of A_r: the belief about its side of the locus, and the image filter.
 
     Attributes:
         belief: about the block's assembly mode.
-        told: where the main filter's mean is with respect to the block's locus, and
-            what the last sample told of it.
-        image: filter from the main one's mirror image in this block, told of less
-            noise.
+        told: record of ``filters.TOLD``: the main filter with respect to the block's
+            locus, and the last sample's likelihood.
+        image: filter from the main one's mirror image in this block, with less noise.
         p: the robot's parameters in the image's working mode, which may be another one.
-        mirror: what makes that.
-        follow: what takes a sample into it.
-        shown: mode and log-odds of the belief that the estimate shows.
+        mirror: the function that makes the image.
+        follow: the function that takes a sample into the image.
+        shown: mode and log-odds of the belief that the estimate has.
     """
 
     belief: Belief
@@ -77,19 +74,20 @@ class Observer:
         estimate: the record that it keeps; one of its own when None.
 
     Attributes:
-        main: the filter that serves.
-        same: from the main one's state, told of less noise; while there is no test it
-            tells how well the model fits.
-        noise: that the main filter is told of; test_noise: that the others are.
-        test_encoder: standard deviation of a sample that those are told of where the
-            model fits, rad.
-        most_lacking: torque at a joint that the model may lack, N m; a test allows for
-            what it lacked while the side was known.
+        main: the filter that gives the estimate.
+        same: from the main one's state, with less noise: the hypothesis that the main
+            filter is right; without a test it measures how well the model fits.
+        noise: of the main filter; test_noise: of the others.
+        test_encoder: standard deviation of a sample in a test where the model fits,
+            rad.
+        most_lacking: largest torque at a joint that is not modelled, N m; a test allows
+            for what there was while the side was known.
+        test_limits: at which a test begins and ends.
         sides: of the blocks of A_r, mostly one, whose belief, told and image are the
             observer's.
-        modes: (assembly mode, confidence in it) of each block as ``tell_side`` was last
-            called.
-        estimate: what the main filter makes, with the least sure of them.
+        modes: (assembly mode, confidence in it) of each block when ``tell_side`` was
+            last called.
+        estimate: of the main filter, with the mode of least confidence.
     """
 
     def __init__(
@@ -102,7 +100,7 @@ class Observer:
         self.noise, self.test_noise = noise.make(), noise.make()
         self.estimate = estimate or Layout("estimate", model.n, ESTIMATE).make()
         self.estimate.s = math.nan
-        self.passage = Passage(0.0, 0.0, 0.0)
+        self.test_limits = TestLimits(0.0, 0.0, 0.0)
         self._finite = True
         self.test_encoder, self.most_lacking, self._lacking = 0.0, 0.0, [0.0] * model.n
         self._p, self._library = model.p, filters_of(model.mechanism)
@@ -160,7 +158,7 @@ class Observer:
 
     @property
     def belief(self) -> Belief:
-        """About the first block."""
+        """The belief about the first block."""
         return self.sides[0].belief
 
     @belief.setter
@@ -171,11 +169,11 @@ class Observer:
         self,
         name: str,
         state: Record,
-        *arguments: Any,
+        *arguments: ArrayLike,
         noise: Record | None = None,
         p: Array | None = None,
-    ) -> Any:
-        """One of the filter's steps on a state, which is changed; its other results."""
+    ) -> Results:
+        """Change a state by one of the filter's steps; the step's other results."""
         fast = self._steps[name]
         given = fast.arguments
         if noise is not None:
@@ -193,20 +191,22 @@ class Observer:
         return results
 
     def predict(self, state: Record, noise: Record, tau: Array, dt: float) -> None:
-        """One step of a filter under tau (n,), N m, over dt, s."""
+        """Predict a filter under torques tau (n,), N m, over dt, s."""
         self._step("predict", state, tau, dt, noise=noise)
 
     def correct(self, state: Record, noise: Record, q_meas: Array, dt: float) -> bool:
-        """Take the active joints (n,), rad; whether the robot was struck in the last
-        dt, s.
+        """Correct a filter with the active joints (n,), rad; whether the robot was
+        struck in the last dt, s.
         """
         return bool(self._step("correct", state, q_meas, dt, noise=noise).struck[0])
 
     def innovate(
         self, state: Record, noise: Record, q_meas: Array, block: int = 0
     ) -> tuple[float, float]:
-        """Take the active joints (n,), rad: the normalised square of the block's
-        innovation and ln det of its covariance.
+        """Correct a filter with the active joints (n,), rad.
+
+        Returns:
+            (normalised square of the block's innovation, ln det of its covariance).
         """
         found = self._step("innovate", state, q_meas, noise=noise)
         return found.square.item(block), found.spread.item(block)
@@ -214,18 +214,21 @@ class Observer:
     def correct_position(
         self, state: Record, x_meas: Array, deviation: float
     ) -> tuple[float, float, float]:
-        """Take an external position (n,), m: squared normalised distance, ln det of its
-        covariance, distance, m.
+        """Correct a filter with an external position (n,), m, of a standard deviation,
+        m.
+
+        Returns:
+            (squared normalised distance, ln det of its covariance, distance, m).
         """
         found = self._step("correct_position", state, x_meas, deviation)
         return found.square.item(), found.spread.item(), found.distance.item()
 
     def allow_for_unseen_blow(self, state: Record) -> None:
-        """A blow along t_s that b may have been taken for."""
+        """Add the covariance of an unseen blow along t_s to a filter."""
         self._step("unseen_blow", state, noise=self.noise)
 
     def mirror(self, state: Record, image: Record, block: int = 0) -> bool:
-        """Make the image the mirror image of a state in a block; false where that is
+        """Make ``image`` the mirror image of a state in a block; false where that is
         not in this working mode.
         """
         return self._mirror(state, image, block) and bool(
@@ -233,8 +236,8 @@ class Observer:
         )
 
     def _mirror(self, state: Record, image: Record, block: int) -> bool:
-        """The same in any working mode; false where a leg of the image is too near to
-        Type 1.
+        """Make the mirror image in any working mode; false where a leg of it is too
+        near to Type 1.
         """
         found = self.sides[block].mirror(self._p, state.numbers)
         image.numbers[:] = found.image
@@ -245,31 +248,31 @@ class Observer:
         )
 
     def look_again(self) -> None:
-        """After the main filter was changed."""
+        """Update what depends on the main filter after it was changed."""
         self._look.run()
 
     def direct_model(self, q_a: Array, assembly_mode: float | Array) -> Array:
-        """Platform (n,) of the joints (n,), rad, with sign(s) = assembly_mode; the
-        nearest to the last one where it is solved.
+        """Platform position (n,), m, of the joints (n,), rad, with sign(s) =
+        assembly_mode; the nearest to the last one where it is solved.
         """
         return self._model.direct_geometric_model(q_a, assembly_mode, self.main.x)
 
     def begin(self, x: Array, speed: float) -> None:
-        """A robot at x (n,), m, known from its joints; speed: standard deviation of its
+        """Begin at x (n,), m, known from the joints, with a standard deviation of the
         velocity about zero, m/s.
         """
         self.main.numbers[:] = self._steps["begin"](
             self._p, self.noise.numbers, x, speed
         ).filter
-        self._compare_with_main()
+        self._restart_comparison()
         self._finite = True
         for side in self.sides:
             side.shown = UNKNOWN
         self.look_again()
 
     def begin_again(self, q_meas: Array) -> None:
-        """The joints (n,) are all that is known: they are taken in the mode believed so
-        far, unsure of it.
+        """Begin again from the joints (n,), rad, alone, in the mode believed so far but
+        unsure of it.
         """
         modes = np.array([side.belief.mode or 1.0 for side in self.sides])
         self.begin(self.direct_model(q_meas, modes), self.noise.shock_speed)
@@ -278,7 +281,9 @@ class Observer:
             side.belief.seen = 0.0
 
     def predict_all(self, tau: Array, dt: float) -> None:
-        """All filters that run, over dt, s, in steps of at most MAX_STEP."""
+        """Predict all filters under tau (n,), N m, over dt, s, in steps of at most
+        MAX_STEP.
+        """
         steps = math.ceil(dt / MAX_STEP)
         self._predict_all(tau, dt / steps, steps)
 
@@ -288,23 +293,17 @@ class Observer:
             self._step("predict_test", self.same, tau, step, noise=self.test_noise)
             for side in self.sides:
                 if side.belief.testing:
-                    self._step(
-                        "predict_test",
-                        side.image,
-                        tau,
-                        step,
-                        noise=self.test_noise,
-                        p=side.p,
-                    )
+                    noise, image = self.test_noise, side.image
+                    self._step("predict_test", image, tau, step, noise=noise, p=side.p)
 
     def observe(self, tau: Array, dt: float, q_meas: Array) -> bool:
-        """One sample: the filters and the belief; whether the side has to be told anew
-        (``tell_side``).
+        """Take a sample into the filters and the beliefs; whether ``tell_side`` has to
+        be called.
 
         Args:
-            tau: (n,) commanded since the last sample, N m.
+            tau: torques commanded since the last sample, (n,), N m.
             dt: since the last sample, s.
-            q_meas: (n,) rad.
+            q_meas: measured joints, (n,), rad.
         """
         if dt > LONG or not self._finite:
             self.begin_again(q_meas)
@@ -319,7 +318,7 @@ class Observer:
         advance.run()
         finite, hit, fitting = advance.results.sample.tolist()
         self._finite, struck, fits = finite > 0.0, hit > 0.0, fitting > 0.0
-        quiet, armed = fits and not struck, self.passage.armed
+        quiet, armed = fits and not struck, self.test_limits.armed
         for block, side in enumerate(self.sides):
             belief = side.belief
             if belief.testing or belief.armed:
@@ -327,11 +326,10 @@ class Observer:
                 if belief.testing:
                     self._weigh(block, side, struck)
         if struck or not fits:
-            self._compare_with_main()
+            self._restart_comparison()
         for block, side in enumerate(self.sides):
-            s, s_variance, type1, folded, square, _ = (
-                side.told.numbers.tolist()
-            )  # in the order of TOLD
+            # in the order of TOLD
+            s, s_variance, type1, folded, square, _ = side.told.numbers.tolist()
             if quiet:
                 belief = side.belief
                 belief.fit(square, dt)
@@ -341,13 +339,13 @@ class Observer:
                     and not (belief.doubtful or belief.strayed)
                 ):
                     continue  # clear of the locus on the side where it was
-            self._judge_passage(block, side, s, s_variance, type1, folded >= 0.0)
+            self._update_test(block, side, s, s_variance, type1, folded >= 0.0)
             anew = True
         return anew
 
     def _weigh(self, block: int, side: Side, struck: bool) -> None:
-        """Take the sample into a block's test; the filters of the test know nothing of
-        a blow, which ends it.
+        """Take the sample into a block's test; a blow, which the test's filters do not
+        model, ends it.
         """
         belief, told = side.belief, side.told
         if struck:
@@ -356,27 +354,24 @@ class Observer:
             return
         side.follow.run()
         found = side.follow.results
-        if (
-            not found.type1.item() >= self._sure_type1
-        ):  # on its way into another working mode: the test goes on there
+        # on its way into another working mode, where the test goes on
+        if not found.type1.item() >= self._sure_type1:
             belief.pause()
             return
-        if (
-            max(abs(self.main.x_dot).max(), abs(side.image.x_dot).max()) < MOVING
-        ):  # at rest every sample is the same one
+        # at rest every sample is the same one
+        if max(abs(self.main.x_dot).max(), abs(side.image.x_dot).max()) < MOVING:
             return
         image, spread_image = found.fit.reshape(2, -1)[:, block].tolist()
         if math.isfinite(told.square + image):
-            belief.weigh(
-                told.square, told.spread, image, spread_image, self._rows[block]
-            )
+            rows = self._rows[block]
+            belief.weigh(told.square, told.spread, image, spread_image, rows)
 
-    def _compare_with_main(self) -> None:
-        """The filter that tells how well the model fits starts from the main one.
+    def _restart_comparison(self) -> None:
+        """Start the filter of the hypothesis "same" from the main one.
 
-        In a test it and the image allow for as much torque as the model lacked while
-        the side was known, and take the samples for as much worse as they fitted the
-        model worse then (backlash, a belt that is not in the robot's file).
+        In a test it and the image allow for as much torque that is not modelled as
+        there was while the side was known, and for as much noise of the samples as
+        there was then (backlash, a belt that is not in the robot's file).
         """
         noise, lacking, misfit = self.test_noise, self.most_lacking, 1.0
         if known := [
@@ -391,31 +386,29 @@ class Observer:
         self._step("unsure", self.same, noise=noise)
 
     def _begin_test(self, block: int, side: Side) -> bool:
-        """From the main filter's state and its image, unsure of both alike; false where
-        there is no image.
+        """Begin a block's test from the main filter's state and its image, unsure of
+        both alike; false where there is no image yet.
         """
-        side.belief.armed = not self._mirror(
-            self.main, side.image, block
-        )  # as soon as there is an image
+        side.belief.armed = not self._mirror(self.main, side.image, block)
         if side.belief.armed:
             return False
         side.p[:] = side.mirror.results.p_image
         side.belief.testing = True
-        self._compare_with_main()
+        self._restart_comparison()
         self._step("unsure", side.image, noise=self.test_noise, p=side.p)
         return True
 
-    def _test_from_main(self, side: Side) -> None:
-        """The test of this side begins or ends: those of others go on from the main
-        filter's state, as this one does.
+    def _restart_tests(self, side: Side) -> None:
+        """Restart the tests of the other sides from the main filter's state, as the
+        test of this side begins or ends.
         """
-        self._compare_with_main()
+        self._restart_comparison()
         for block, other in enumerate(self.sides):
             if other is not side and other.belief.testing:
                 other.belief.pause()
                 self._begin_test(block, other)
 
-    def _judge_passage(
+    def _update_test(
         self,
         block: int,
         side: Side,
@@ -424,16 +417,16 @@ class Observer:
         type1: float,
         folded: bool,
     ) -> None:
-        """Begin, go on with or end a block's test of crossed against bounced.
+        """Begin, continue or end a block's test of crossed against bounced.
 
         Where the distal links are folded there is nothing to test: the image is a whole
-            turn of them away, and the
-        joints tell the side as well as they tell s. Where a leg stretches or folds the
-        robot may be on its way into another working mode, of which nothing is known
-        here: the belief is unsure until it is told. So it is, until the next passage,
-        where the state is suddenly on the other side.
+        turn of them away, and the joints tell the side as well as they tell s. Where a
+        leg comes to Type 1 the robot may be on its way into another working mode, which
+        is not modelled here: the belief is unsure until the mode is told. It is unsure
+        too, until the robot next comes near the locus, where the state is suddenly on
+        the other side.
         """
-        belief, passage = side.belief, self.passage
+        belief, limits = side.belief, self.test_limits
         if not (math.isfinite(s) and type1 >= self._sure_type1):
             belief.strayed = True
         if belief.strayed:
@@ -441,53 +434,52 @@ class Observer:
             belief.seen = 0.0
             return
         near, mode = abs(s), 1.0 if s > 0.0 else -1.0
-        if mode * belief.mode < 0.0 and not belief.armed and near >= passage.armed:
+        if mode * belief.mode < 0.0 and not belief.armed and near >= limits.armed:
             belief.unsure()
             belief.mode = mode
             return
-        if near < passage.armed:
-            if not any(
-                other.belief.armed or other.belief.testing for other in self.sides
-            ):
+        if near < limits.armed:
+            beliefs = [other.belief for other in self.sides]
+            if not any(one.armed or one.testing for one in beliefs):
                 self._lacking = self.same.d.tolist()
             belief.end_test()
             belief.armed = True
             belief.log_odds = log_odds_of_side(s, s_variance) if folded else 0.0
         elif belief.armed and folded:
             belief.log_odds = log_odds_of_side(s, s_variance)
-            belief.armed = near < passage.begin
-        elif belief.armed and near >= passage.begin:
+            belief.armed = near < limits.begin
+        elif belief.armed and near >= limits.begin:
             if self._begin_test(block, side):
-                self._test_from_main(side)
-        elif belief.doubtful and passage.begin <= near < DOUBT_S:
+                self._restart_tests(side)
+        elif belief.doubtful and limits.begin <= near < DOUBT_S:
             belief.unsure()
             if self._begin_test(block, side):
-                self._test_from_main(side)
-        elif belief.testing and abs(belief.log_odds) >= passage.log_odds:
+                self._restart_tests(side)
+        elif belief.testing and abs(belief.log_odds) >= limits.log_odds:
             if belief.log_odds < 0.0:
                 if (side.p != self._p).any():  # in another working mode
                     belief.strayed = True
                     return
                 self.main.take(side.image)
-                self._test_from_main(side)
+                self._restart_tests(side)
                 mode = -mode
                 belief.swaps += 1
                 self.look_again()
             belief.testing = False
             belief.log_odds = CERTAIN
-            self._compare_with_main()
+            self._restart_comparison()
         belief.doubtful = False
         if belief.testing or belief.armed:
             belief.misfit_now = 0.0
         belief.mode = mode
 
     def tell_side(self) -> None:
-        """Into the estimate."""
+        """Write the likelier assembly mode and the confidence in it into the
+        estimate.
+        """
         for side in self.sides:
-            if (
-                side.belief.mode != side.shown[0]
-                or side.belief.log_odds != side.shown[1]
-            ):
+            mode, log_odds = side.shown
+            if side.belief.mode != mode or side.belief.log_odds != log_odds:
                 break
         else:
             return

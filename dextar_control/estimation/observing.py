@@ -1,4 +1,4 @@
-"""``observer``: an estimator that serves what the observer's main filter believes."""
+"""The estimator ``observer``: it gives what the observer's main filter believes."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dextar_control.contract.settings import Settings
 from dextar_control.estimation.belief import CERTAIN, Belief
 from dextar_control.estimation.estimate import Estimator
 from dextar_control.estimation.joint_filter import JointFilter
-from dextar_control.estimation.observer import REST_SPEED, Observer, Passage
+from dextar_control.estimation.observer import REST_SPEED, Observer, TestLimits
 from dextar_control.model.model import Model
 from dextar_control.symbols.record import Record
 from dextar_control.symbols.types import Array
 
 
 class ObserverEstimator(Estimator):
-    """``observer``."""
+    """The estimator ``observer``."""
 
     tells_side = True
 
@@ -33,52 +33,33 @@ class ObserverEstimator(Estimator):
     def configure(self, settings: Settings) -> None:
         """See ``Estimator``."""
         noise, test = self.observer.noise, self.observer.test_noise
-        noise.encoder, noise.bias, noise.bias_walk = (
-            settings.encoder_deviation,
-            settings.bias_deviation,
-            settings.bias_walk,
-        )
-        noise.torque, noise.acceleration = (
-            settings.torque_deviation,
-            settings.acceleration_deviation,
-        )
+        noise.encoder = settings.encoder_deviation
+        noise.bias, noise.bias_walk = settings.bias_deviation, settings.bias_walk
+        noise.torque = settings.torque_deviation
+        noise.acceleration = settings.acceleration_deviation
         noise.scatter_gain = settings.scatter_gain
-        noise.disturbance, noise.disturbance_walk = (
-            settings.disturbance_deviation,
-            settings.disturbance_walk,
-        )
-        noise.shock_gate, noise.shock_speed = (
-            settings.shock_gate**2,
-            settings.shock_speed,
-        )
-        allowed = (
-            test.disturbance,
-            test.disturbance_turn,
-            test.disturbance_walk,
-        )  # of a test that may be going on
-        worse = (
-            test.encoder / self.observer.test_encoder
-            if self.observer.test_encoder
-            else 1.0
-        )
+        noise.disturbance = settings.disturbance_deviation
+        noise.disturbance_walk = settings.disturbance_walk
+        noise.shock_gate = settings.shock_gate**2
+        noise.shock_speed = settings.shock_speed
+        # of a test that may be going on:
+        allowed = test.disturbance, test.disturbance_turn, test.disturbance_walk
+        told = self.observer.test_encoder
+        worse = test.encoder / told if told else 1.0
         test.take(noise)
         test.disturbance, test.disturbance_turn, test.disturbance_walk = allowed
         test.encoder = settings.passage_encoder_deviation * worse
         self.observer.test_encoder = settings.passage_encoder_deviation
-        test.torque, test.bias = (
-            settings.passage_torque_deviation,
-            settings.passage_bias_deviation,
-        )
+        test.torque = settings.passage_torque_deviation
+        test.bias = settings.passage_bias_deviation
         test.acceleration = settings.passage_acceleration_deviation
         self.observer.most_lacking = settings.passage_disturbance
-        self.observer.passage = Passage(
+        self.observer.test_limits = TestLimits(
             settings.passage_armed, settings.passage_begin, settings.passage_log_odds
         )
         self.unknown_s = settings.passage_armed
-        self._sure, self._bandwidth = (
-            settings.verdict_confidence,
-            settings.filter_bandwidth,
-        )
+        self._sure = settings.verdict_confidence
+        self._bandwidth = settings.filter_bandwidth
 
     @property
     def mode_known(self) -> bool:
@@ -87,7 +68,7 @@ class ObserverEstimator(Estimator):
 
     @property
     def swaps(self) -> int:
-        """How often the test has found the robot on the other side than believed."""
+        """The number of times that the test has found the robot on the other side."""
         return sum(side.belief.swaps for side in self.observer.sides)
 
     @property
@@ -97,11 +78,11 @@ class ObserverEstimator(Estimator):
 
     @property
     def bias(self) -> Array:
-        """b (n,), rad: the joint angles that the model's geometry does not explain."""
+        """b (n,), rad: the error of the joints by a wrong geometry, as estimated."""
         return np.array(self.observer.main.b)
 
     def start(self, x: Array, q_a: Array, assembly_mode: int) -> None:
-        """See ``Estimator``."""
+        """See ``Estimator``: x (n,), m, q_a (n,), rad."""
         self._begin(x, q_a, assembly_mode, REST_SPEED)
 
     def _begin(self, x: Array, q_a: Array, assembly_mode: int, speed: float) -> None:
@@ -112,20 +93,18 @@ class ObserverEstimator(Estimator):
         self.observer.tell_side()
 
     def tell_mode(self, assembly_mode: int, q_a: Array) -> None:
-        """See ``Estimator``."""
-        self._begin(
-            self.observer.direct_model(q_a, assembly_mode),
-            q_a,
-            assembly_mode,
-            self.observer.noise.shock_speed,
-        )
+        """See ``Estimator``: q_a (n,), rad."""
+        x = self.observer.direct_model(q_a, assembly_mode)
+        self._begin(x, q_a, assembly_mode, self.observer.noise.shock_speed)
 
     def release(self, crossing: bool) -> None:
         """See ``Estimator``."""
         self._joints.set(self.estimate.q_a, self.estimate.q_a_dot)
 
     def observe(self, dt: float, q_a: Array, tau: Array) -> None:
-        """See ``Estimator``."""
+        """Take the measured joints q_a (n,), rad, and the torques tau (n,), N m, that
+        acted for dt, s.
+        """
         if self.observer.observe(tau, dt, q_a):
             self.observer.tell_side()
 
@@ -138,16 +117,14 @@ class ObserverEstimator(Estimator):
         zone: float,
         width: float,
     ) -> None:
-        """See ``Estimator``."""
+        """See ``Estimator``: q_a (n,), rad, tau (n,), N m."""
         self.observe(dt, q_a, tau)
 
     def coast(self, dt: float, q_a: Array, tau: Array) -> None:
-        """See ``Estimator``: what brakes are the joints themselves, wherever the
-        platform is thought to be.
+        """See ``Estimator``: q_a (n,), rad, tau (n,), N m. The estimate has the joints
+        as they are measured, which a brake acts on, and not those of its platform.
         """
         self.observe(dt, q_a, tau)
         self._joints.take(q_a, dt, self._bandwidth)
-        self.estimate.q_a, self.estimate.q_a_dot = (
-            self._joints.memory.q,
-            self._joints.memory.q_dot,
-        )
+        self.estimate.q_a = self._joints.memory.q
+        self.estimate.q_a_dot = self._joints.memory.q_dot

@@ -1,4 +1,4 @@
-"""What a plan asks for and what an estimator believes at one sample."""
+"""The records of reference and estimate at one sample."""
 
 from __future__ import annotations
 
@@ -21,18 +21,9 @@ ESTIMATE = (
     Field("assembly_mode", "1", "believed sign of s"),
     Field("confidence", "1", "in the assembly mode, 0.5 to 1"),
     Field("s", "1", "singularity measure"),
-    Field("d", "N m", "torques that act on the joints and that the model lacks", "n"),
-    Field("b", "rad", "what a wrong geometry adds to the joints", "n"),
+    Field("d", "N m", "torques on the joints that are not modelled", "n"),
+    Field("b", "rad", "error of the joints by a wrong geometry", "n"),
     Field("twist_dot", "rad/s", "of the transmissions: motors less joints", "n"),
-    Field(
-        "innovation",
-        "rad",
-        "of the sample: the joints less those that were expected",
-        "n",
-    ),
-    Field(
-        "innovation_square",
-        "1",
-        "of the same over its covariance: n on average where the filter is right",
-    ),
+    Field("innovation", "rad", "of the sample: measured less predicted joints", "n"),
+    Field("innovation_square", "1", "normalised: n on average in a consistent filter"),
 )

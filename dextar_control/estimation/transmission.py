@@ -1,11 +1,11 @@
-"""A compliant transmission between rotor and joint over one sample, on symbols: what it
-holds back of the torque, and its twist.
+"""A compliant transmission between rotor and joint over one sample, on symbols: its
+twist, and the torque that it keeps from the joint.
 
 The encoder is at the motor: it reads the joint's angle and the twist. The rotor's
 balance J (q_a_ddot + twist_ddot) = tau - k twist - c twist_dot, of which the rigid
 model has all but J twist_ddot, is solved in closed form for a torque and a joint
-acceleration that hold over the sample. Rigid (k = 0) holds nothing back and does not
-twist.
+acceleration that hold over the sample. A rigid one (k = 0) keeps nothing back and does
+not twist.
 """
 
 from __future__ import annotations
@@ -16,36 +16,33 @@ import casadi as ca
 
 from dextar_control.symbols.types import Symbol
 
-DAMPING = (
-    0.03,
-    0.9,
-    # least and largest damping ratio of rotor and transmission: none rings for ever,
-    # and
-    # all swing
-)
-LEAST_INERTIA, LEAST_STIFFNESS = (
-    1e-7,
-    1.0,
-)  # kg m^2 of a rotor, N m/rad of a transmission that is not rigid
+# least and largest damping ratio of rotor and transmission
+DAMPING = 0.03, 0.9
+LEAST_INERTIA = 1e-7  # kg m^2 of a rotor
+LEAST_STIFFNESS = 1.0  # N m/rad of a transmission that is not rigid
 
 
 class Transmission(NamedTuple):
-    """What one sample makes of the twists (n,), linear in them, in their rates and in
-    the drive (torque / inertia - q_a_ddot).
+    """One step of the twists (n,), linear in them, in their rates and in the drive
+    (torque / inertia - q_a_ddot).
+
+    Attributes:
+        inertia: of the rotors, (n,), kg m^2.
+        twist: next twist per twist, rate and drive, (n,) each.
+        rate: next rate per the same.
+        dt: of the step, s.
     """
 
-    inertia: Symbol  # kg m^2, of the rotors
-    twist: tuple[
-        Symbol, Symbol, Symbol
-    ]  # next twist per twist, rate and drive; nothing drives a rigid one
-    rate: tuple[Symbol, Symbol, Symbol]  # next rate per the same
+    inertia: Symbol
+    twist: tuple[Symbol, Symbol, Symbol]
+    rate: tuple[Symbol, Symbol, Symbol]
     dt: Symbol
 
     def held_back(
         self, twist: Symbol, twist_dot: Symbol, tau: Symbol
     ) -> tuple[Symbol, Symbol]:
-        """Torque (n,), N m, that turns the rotors away from joints at rest, and what
-        each rad/s^2 of a joint takes off it.
+        """(torque (n,), N m, that accelerates the rotors where the joints do not, its
+        decrease (n,), N m s^2/rad, with the joints' acceleration).
         """
         per_twist, per_rate, per_drive = self.rate
         at_rest = (
@@ -57,7 +54,7 @@ class Transmission(NamedTuple):
     def after(
         self, twist: Symbol, twist_dot: Symbol, tau: Symbol, q_a_ddot: Symbol
     ) -> tuple[Symbol, Symbol]:
-        """(twist, its rate) at the end of the sample, (n,) each."""
+        """(twist, rad, its rate, rad/s) at the end of the sample, (n,) each."""
         drive = tau / ca.fmax(self.inertia, LEAST_INERTIA) - q_a_ddot
         first, second = (
             a * twist + b * twist_dot + c * drive for a, b, c in (self.twist, self.rate)
@@ -68,9 +65,7 @@ class Transmission(NamedTuple):
 def transmission_over(
     numbers: tuple[Symbol, Symbol, Symbol] | None, dt: Symbol
 ) -> Transmission | None:
-    """Of a mechanism's ``transmission`` over a sample of dt, s; None where it has
-    none.
-    """
+    """The step of a mechanism's ``transmission`` over dt, s; None where it has none."""
     if numbers is None:
         return None
     inertia, stiffness, damping = numbers

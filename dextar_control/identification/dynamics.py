@@ -148,7 +148,7 @@ def fit_dynamics(robot: RobotParameters, motions: Sequence[SmoothMotion]) -> Dyn
     p = DETAILED_FIVE_BAR.values(flatten(robot))
     unknowns, sizes = unknowns_of(DETAILED_FIVE_BAR), sizes_of(DETAILED_FIVE_BAR, p)
     columns, k, count = [one.row for one in unknowns], len(unknowns), len(motions)
-    before, turn_over = p[columns], DETAILED_FIVE_BAR.rows_of("coulomb_speed")
+    before, turn_over = p[columns], DETAILED_FIVE_BAR.rows().get("coulomb_speed")
     which = np.concatenate(
         [np.full(len(motion.tells), row) for row, motion in enumerate(motions)]
     )

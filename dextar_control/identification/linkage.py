@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import casadi as ca
 import numpy as np
 
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.mechanisms.five_bar import FiveBar
 from dextar_control.mechanisms.five_bar_locus import SIDES
+from dextar_control.mechanisms.mechanism import Values
 from dextar_control.symbols.functions import Batch, named
 from dextar_control.symbols.types import Array
 
@@ -54,7 +53,7 @@ class Linkage:
         )
         passed = ca.SX.sym("passed", 2)
         legs = [
-            SimpleNamespace(
+            Values(
                 **dict(
                     zip(
                         (name.replace(".", "_") for name in PER_LEG),
@@ -66,8 +65,8 @@ class Linkage:
             for part in ca.vertsplit(g, len(PER_LEG))
         ]
         for leg in legs:
-            leg.axis = ca.vertcat(leg.axis_x, leg.axis_y)
-        p = SimpleNamespace(**dict(zip(SIDES, legs, strict=True)))
+            vars(leg)["axis"] = ca.vertcat(leg.axis_x, leg.axis_y)
+        p = Values(**dict(zip(SIDES, legs, strict=True)))
         q_a = [
             r
             - leg.encoder_offset

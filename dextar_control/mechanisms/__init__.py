@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.plug_in import chosen
@@ -13,13 +12,12 @@ from dextar_control.mechanisms.three_rrr import ThreeRRR
 MECHANISMS: dict[str, type[Mechanism]] = {
     mechanism.name: mechanism for mechanism in (FiveBar, ThreeRRR)
 }
-"""Ours by the names that a robot's file gives."""
-
+"""The mechanisms of this package by the names that a robot's file gives."""
 
 DETAILED_FIVE_BAR = DetailedFiveBar()
 
 
-def five_bar_of(values: Mapping[str, Any]) -> Mechanism:
+def five_bar_of(values: Mapping[str, object]) -> Mechanism:
     """The five-bar of these values: with friction of its passive joints and elastic
     transmissions where there is some.
     """

@@ -14,13 +14,17 @@ equal distal links t_s is tangent to the locus: s changes only along v_1, radial
 from __future__ import annotations
 
 from enum import Enum
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from dextar_control.mechanisms.mechanism import Mechanism
-from dextar_control.mechanisms.planar import circles, direction, overlap
+from dextar_control.mechanisms.mechanism import Values
+from dextar_control.mechanisms.planar import (
+    TwoLinkLegs,
+    circles,
+    direction,
+    overlap,
+)
 from dextar_control.symbols.types import Array, Symbol
 
 SIDES = ("left", "right")
@@ -35,34 +39,42 @@ class Family(Enum):
     FOLDED = -1
 
 
-class FiveBarLocus(Mechanism):
+class FiveBarLocus(TwoLinkLegs):
     """What planning asks of a five-bar: its locus, its working modes and how large it
     is.
 
     Attributes:
-        families: of the locus; each has two branches, +1 and -1: which of the two
-            closures of the four-bar.
         working_modes: all there are.
     """
 
-    families = Family
+    legs = SIDES
     working_modes = ((1, -1), (1, 1), (-1, 1), (-1, -1))
 
-    def base(self, leg: int, p: Any) -> Symbol:
+    def base(self, leg: int, p: Values) -> Symbol:
         """e_i (2,), m, a motor's axis."""
-        return getattr(p, SIDES[leg]).axis
+        return p[SIDES[leg]].axis
+
+    def tip(self, leg: int, x: Symbol, p: Values) -> Symbol:
+        """x (2,), m: both legs end in the end effector."""
+        return x
 
     def type2_locus(
-        self, family: Symbol, branch: Symbol, angle: Symbol, p: Any
+        self, family: Symbol, branch: Symbol, angle: Symbol, p: Values
     ) -> tuple[Symbol, Symbol, Symbol]:
-        """(q_a (2,), x (2,), closing) of the locus at a tracing angle, rad: of the left
-        motor (stretched) or of d (folded).
+        """A point of the locus.
 
-        The four-bar closes where closing, over the proximal lengths' product, is not
-        below zero; where it is, the place is the nearest to closing.
+        Args:
+            family: value of the ``Family``.
+            branch: +1 or -1: which of the two closures of the four-bar.
+            angle: tracing angle, rad: of the left motor (stretched) or of d (folded).
+            p: symbols.
+
+        Returns:
+            (q_a (2,), rad, x (2,), m, closing, 1): the four-bar closes where closing is
+            not below zero; where it is, the point is the nearest to closing.
         """
         stretched = family > 0.0
-        left, right = (getattr(p, side) for side in SIDES)
+        left, right = (p[side] for side in SIDES)
         first, second, turn = self.base(0, p), self.base(1, p), direction(angle)
         coupler = left.distal_length + family * right.distal_length
         center = first + ca.if_else(stretched, left.proximal_length, coupler) * turn
@@ -82,40 +94,36 @@ class FiveBarLocus(Mechanism):
         )
 
     def family(self, A_r: Array) -> Family:
-        """The family that a place of the locus belongs to; A_r has r_1 and r_2 as
-        rows.
+        """The family that a point of the locus belongs to, by A_r (2, 2), m, whose rows
+        are r_1 and r_2.
         """
         return Family.STRETCHED if A_r[0] @ A_r[1] < 0.0 else Family.FOLDED
 
     def family_name(self, A_r: Array) -> str:
-        """Of ``family``, in lower case."""
+        """The name of ``family`` for A_r (2, 2), m, in lower case."""
         return self.family(A_r).name.lower()
 
     def modes(self, type1_sines: Array) -> Array:
-        """Working modes (..., 2): +1 where the elbow is on the left, which makes the
-        sine of its angle negative.
+        """Working modes (m, 2), 1, of the sines (m, 2), 1, of the elbows' angles: +1
+        where the elbow is on the left, which makes the sine negative.
         """
         return np.where(type1_sines < 0.0, 1, -1)
 
-    def workspace(self, p: Any) -> tuple[Array, Array]:
+    def workspace(self, p: Values) -> tuple[Array, Array]:
         """Corners (2,), m, of a box that holds every place it reaches; ``p`` has
         numbers.
         """
         reach = np.array(
             [
-                float(
-                    (getattr(p, side).proximal_length + getattr(p, side).distal_length)[
-                        0
-                    ]
-                )
+                float((p[side].proximal_length + p[side].distal_length)[0])
                 for side in SIDES
             ]
         )
         axes = np.array([np.array(self.base(leg, p)).ravel() for leg in range(2)])
         return (axes - reach[:, None]).max(axis=0), (axes + reach[:, None]).min(axis=0)
 
-    def length(self, p: Any) -> float:
+    def length(self, p: Values) -> float:
         """The mean distal length, m, by which distances are measured; ``p`` has
         numbers.
         """
-        return float(np.mean([getattr(p, side).distal_length[0] for side in SIDES]))
+        return float(np.mean([p[side].distal_length[0] for side in SIDES]))

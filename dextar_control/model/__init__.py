@@ -1,3 +1,1 @@
-"""The paper's equations for any mechanism: on symbols (``equations``), and as fast
-functions (``functions``).
-"""
+"""The paper's equations for any mechanism, on symbols and as fast functions."""

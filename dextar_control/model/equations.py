@@ -18,7 +18,6 @@ these lines are what runs. Three departures from the print, each with its reason
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -33,17 +32,17 @@ from dextar_control.symbols.singular import (
 )
 from dextar_control.symbols.types import Symbol
 
-TRIES = (
-    5  # sets of numbers at which a matrix that is singular everywhere is found to be
-)
+TRIES = 5  # sets of numbers at which a matrix that loses rank loses it everywhere
 
 
 @dataclass(frozen=True)
 class Equations:
     """One state of a mechanism on symbols: what is given, and what follows.
 
+    Units are those of the symbol table in the documentation.
+
     Attributes:
-        p: parameters, as one vector.
+        p: parameters, as one vector (m,).
         q_a, x, x_dot: joints and platform (closed), and its velocity, (n,).
         x_ddot: acceleration of the platform (n,).
         tau: input torques (n,).
@@ -53,7 +52,7 @@ class Equations:
         b: (n,), velocity terms of the closures' second derivative.
         drift: (n,), -B^-1 b.
         w_b, w_d: (n,), wrenches on joints and platform.
-        force: (n,), J_inv^T w_b + w_d: what J_inv^T tau has to be.
+        force: (n,), J_inv^T w_b + w_d, which J_inv^T tau has to equal.
         M_a, M_ax, M_x, c_a, c_x: terms of the wrenches.
         M, h: (n, n), (n,): J_inv^T tau = M x_ddot + h; regular on the Type 2 locus.
         multipliers: (n,), lambda; grows as 1/s unless the criterion holds.
@@ -62,7 +61,7 @@ class Equations:
         forward_dynamics: (n,), x_ddot of tau; regular on the locus.
         s_blocks: (k,), determinants of A_r's blocks, dimensionless: how far each of k
             motions is from being uncontrollable.
-        s: the one of them that is least in size.
+        s: that of ``s_blocks`` which is least in size.
         singular: singular vectors of A_r; t_s (n, k) are the weak right ones.
         criterion: (k,), t_s . w_d.
         type1: least distance of a leg to Type 1.
@@ -107,10 +106,10 @@ class Equations:
         q_a: Symbol,
         x: Symbol,
         x_dot: Symbol,
-        x_ddot: Any = 0.0,
-        tau: Any = 0.0,
+        x_ddot: Symbol | float = 0.0,
+        tau: Symbol | float = 0.0,
     ) -> Equations:
-        """The same for other symbols or expressions."""
+        """The equations of another state: of other symbols or expressions."""
         names = [field.name for field in fields(self) if field.name != "singular"]
         given = [self.p, self.q_a, self.x, self.x_dot, self.x_ddot, self.tau]
         values = ca.Function(
@@ -134,10 +133,8 @@ def equations(mechanism: Mechanism) -> Equations:
     q_a, x, x_dot, x_ddot, tau = (
         ca.SX.sym(name, n) for name in ("q_a", "x", "x_dot", "x_ddot", "tau")
     )
-    v, a = (
-        ca.SX.sym("q_a_dot", n),
-        ca.SX.sym("q_a_ddot", n),
-    )  # of the joints, where they are not yet bound to the platform's
+    # velocity and acceleration of the joints, not yet bound to the platform's:
+    v, a = ca.SX.sym("q_a_dot", n), ca.SX.sym("q_a_ddot", n)
 
     closures = mechanism.closures(q_a, x, p)
     if len(mechanism.coordinates) != n or closures.shape != (n, 1):
@@ -147,17 +144,13 @@ def equations(mechanism: Mechanism) -> Equations:
             " closures; the three numbers must be equal"
         )
     A_r, B = ca.jacobian(closures, x), ca.jacobian(closures, q_a)  # Eq. 2
+    uncoupled = "the closures do not depend on all active joints, each in its own way"
     for name, matrix, why in (
-        (
-            "B",
-            B,
-            "the closures do not depend on all active joints, each in its own way",
-        ),
+        ("B", B, uncoupled),
         ("A_r", A_r, "a closure has no coordinate of its own"),
     ):
-        if ca.sprank(matrix) < n or _loses_rank(
-            ca.Function(name, [vector, q_a, x], [matrix])
-        ):
+        values = ca.Function(name, [vector, q_a, x], [matrix])
+        if ca.sprank(matrix) < n or _loses_rank(values):
             raise ParameterError(
                 f"{name} of mechanism {mechanism.name} is singular everywhere: {why}"
             )
@@ -165,7 +158,7 @@ def equations(mechanism: Mechanism) -> Equations:
     q_a_dot = J_inv @ x_dot  # Eq. 2
 
     def along(expression: Symbol) -> Symbol:
-        """Rate of what depends on positions."""
+        """The rate of an expression that depends on positions."""
         return ca.jtimes(expression, ca.vertcat(q_a, x), ca.vertcat(v, x_dot))
 
     b = along(along(closures))  # Eq. 11
@@ -180,9 +173,8 @@ def equations(mechanism: Mechanism) -> Equations:
         rate = along(momentum) + ca.jtimes(
             momentum, ca.vertcat(v, x_dot), ca.vertcat(a, x_ddot)
         )
-        return (
-            rate - ca.gradient(L, position) + ca.jacobian(rates, velocity).T @ opposing
-        )
+        friction = ca.jacobian(rates, velocity).T @ opposing
+        return rate - ca.gradient(L, position) + friction
 
     w_b, w_d = euler_lagrange(q_a, v), euler_lagrange(x, x_dot)  # Eq. 3
     M_a, M_x = ca.jacobian(w_b, a), ca.jacobian(w_d, x_ddot)  # Eq. 10
@@ -194,9 +186,10 @@ def equations(mechanism: Mechanism) -> Equations:
     drift = -ca.solve(B, b)  # Eq. 12
     q_a_ddot = J_inv @ x_ddot + drift  # Eq. 12
     w_b, w_d = ca.substitute([w_b, w_d], [a], [q_a_ddot])  # Eq. 10
-    force = J_inv.T @ w_b + w_d  # Eqs. 7, 8, and 13 before its pseudo-inverse
+    force = J_inv.T @ w_b + w_d  # Eqs. 7, 8; with Eq. 10's wrenches Eq. 13 inverts it
+    # with the cross terms of Eq. 10, and M_a on B^-1 b:
     M = J_inv.T @ M_a @ J_inv + J_inv.T @ M_ax + M_ax.T @ J_inv + M_x  # Eq. 14
-    h = J_inv.T @ (M_a @ drift + c_a) + M_ax.T @ drift + c_x  # Eq. 14, corrected
+    h = J_inv.T @ (M_a @ drift + c_a) + M_ax.T @ drift + c_x  # Eq. 14
     multipliers = ca.solve(A_r.T, w_d)  # Eq. 1
     inverse_dynamics = w_b - B.T @ multipliers  # Eq. 4
     singular = singular_vectors(A_r)
@@ -245,19 +238,14 @@ def equations(mechanism: Mechanism) -> Equations:
 
 
 def _loses_rank(matrix: ca.Function) -> bool:
-    """Whether a matrix has less than full rank at all of some numbers that mean
-    nothing; not where it is no number.
+    """Whether a square matrix has less than full rank at each of some random arguments;
+    not where it has entries that are no number.
     """
     generator = np.random.default_rng(0)
     for _ in range(TRIES):
-        found = np.array(
-            matrix(
-                *(
-                    generator.uniform(0.5, 1.5, matrix.size1_in(i))
-                    for i in range(matrix.n_in())
-                )
-            )
-        )
+        sizes = [matrix.size1_in(i) for i in range(matrix.n_in())]
+        arguments = [generator.uniform(0.5, 1.5, size) for size in sizes]
+        found = np.array(matrix(*arguments))
         if not np.isfinite(found).all() or np.linalg.matrix_rank(found) == len(found):
             return False
     return True

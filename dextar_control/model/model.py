@@ -1,12 +1,10 @@
-"""A mechanism with its numbers: one state's kinematics and dynamics as fast
-functions.
-"""
+"""A mechanism with a robot's numbers: kinematics and dynamics as fast functions."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -18,32 +16,32 @@ from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.model.equations import Equations, equations
 from dextar_control.model.robot import AnyRobot
 from dextar_control.model.solved import closed_near, mirror_image
-from dextar_control.symbols.functions import Fast, Library, cache_folder, named
+from dextar_control.symbols.functions import (
+    Library,
+    NumericFunction,
+    cache_folder,
+    named,
+)
 from dextar_control.symbols.singular import blocks
 from dextar_control.symbols.types import Array, Symbol
 
 AnyModel = TypeVar("AnyModel", bound="Model")
 
 SOLVED = 1e-12  # m^2, of a closure that counts as closed
-CLEAR, RETURNED = (
-    0.1,
-    1e-6,
-    # |s| from which a direct model is asked for its place, and how near to it, of its
-    # distance
-)
-# of the closures' own size, beyond which a geometric model does not satisfy them
-CLOSED = 1e-9
+CLOSED = 1e-9  # of the closures' size, beyond which a model does not satisfy them
+CLEAR = 0.1  # |s| from which the direct geometric model is checked
+RETURNED = 1e-6  # of a place's distance, to which it has to give that place
 
 
 class Model:
-    """Functions of a mechanism for one robot; not for two threads at once.
+    """The functions of a mechanism for one robot; not for two threads at once.
 
     Args:
         mechanism: the equations.
         values: by the dotted names of the mechanism's parameters.
 
     Attributes:
-        p: the parameters as one vector.
+        p: the parameters as one vector (m,).
         n: degrees of freedom.
         blocks: of A_r; their rows are those of the multipliers.
         place: x -> q_a, A_r, s, s_blocks, type1, t_s, gradient (of s, 1/m); nan out of
@@ -59,84 +57,79 @@ class Model:
         ParameterError: a parameter is missing or out of its bounds.
     """
 
-    def __init__(self, mechanism: Mechanism, values: Mapping[str, Any]) -> None:
+    def __init__(self, mechanism: Mechanism, values: Mapping[str, object]) -> None:
         self.mechanism, self.n = mechanism, mechanism.n
         self.p = mechanism.values(values)
-        self.library, self.blocks = (
-            library_of(mechanism),
-            blocks(equations_of(mechanism).A_r),
-        )
+        self.library = library_of(mechanism)
+        self.blocks = blocks(equations_of(mechanism).A_r)
         self._inverse = self.library.fast("inverse_geometric_model")
         self.place, self.state, self.wrenches, self.platform_dynamics = (
-            self._bound(name)
+            self._bound(self.library.fast(name))
             for name in ("place", "state", "wrenches", "platform_dynamics")
         )
 
     @classmethod
     def of(cls: type[AnyModel], robot: AnyRobot) -> AnyModel:
-        """That of a robot's description."""
+        """The model of a robot's description."""
         if isinstance(robot, RobotParameters):
             flat = flatten(robot)
             return cls(five_bar_of(flat), flat)
         return cls(robot.mechanism, robot.numbers)
 
-    def _bound(self, name: str) -> Any:
-        fast: Fast = self.library.fast(name)
-        return lambda *arguments: fast(self.p, *arguments)
+    def _bound(self, function: NumericFunction) -> NumericFunction:
+        """A function whose first argument is ``p``, of the others alone."""
+        return lambda *arguments: function(self.p, *arguments)
 
     def inverse_geometric_model(self, x: Array) -> Array:
-        """q_a (n,) of a platform position x (n,).
+        """q_a (n,), rad or m, of a platform position x (n,), m.
 
         Raises:
             GeometryError: a leg does not reach it.
         """
         (q_a,) = self._inverse(self.p, x)
         if not np.isfinite(q_a).all():
-            raise GeometryError(
-                self.mechanism.unreached(
-                    np.asarray(x), q_a, self.mechanism.named(self.p)
-                )
-            )
-        return np.asarray(q_a)
+            p = self.mechanism.named(self.p)
+            raise GeometryError(self.mechanism.unreached(np.asarray(x), q_a, p))
+        return q_a
 
     def type1_distance(self, x: Array) -> float:
-        """Least sine of a leg's angle at a platform position x (n,): zero at a Type 1
-        singularity; nan out of reach.
+        """Least sine of a leg's angle at a platform position x (n,), m: zero at a
+        Type 1 singularity; nan out of reach.
         """
         return float(self.place(x).type1[0])
 
     def direct_geometric_model(
         self, q_a: Array, assembly_mode: float | Array, near: Array
     ) -> Array:
-        """x (n,) of joints q_a (n,) with sign(s) = assembly_mode, clamped on the locus;
-        nan where the loops do not close.
+        """The platform position x (n,), m, with sign(s) = assembly_mode, clamped on the
+        locus; nan where the loops do not close.
 
         Args:
+            q_a: active joints, (n,), rad or m.
             assembly_mode: of all blocks, or (k,).
-            near: (n,) where the search begins that a mechanism without a closed form
-                needs.
+            near: (n,), m, where the search begins that a mechanism without a closed
+                form needs.
         """
         if "direct_geometric_model" in self.library.symbolic:
-            return np.asarray(
-                self.library.fast("direct_geometric_model")(
-                    self.p, q_a, assembly_mode
-                ).x
-            )
+            direct = self.library.fast("direct_geometric_model")
+            return direct(self.p, q_a, assembly_mode).x
         solve = self.library.fast("closed_near")
         found = solve(self.p, q_a, near)
         if found.s[0] * assembly_mode < 0.0:
             found = solve(self.p, q_a, found.image)
         good = found.gap[0] < SOLVED and found.s[0] * assembly_mode > 0.0
-        return np.asarray(found.x if good else np.full(self.n, np.nan))
+        return found.x if good else np.full(self.n, np.nan)
 
     def close(
         self, q_a: Array, assembly_mode: float, near: Array | None = None
     ) -> Array:
-        """x (n,) of joints q_a (n,) with sign(s) = assembly_mode.
+        """The platform position x (n,), m, with sign(s) = assembly_mode.
 
         Args:
-            near: (n,) where the search begins that a mechanism without a closed form
-                needs; the origin when None.
+            q_a: active joints, (n,), rad or m.
+            assembly_mode: of all blocks.
+            near: (n,), m, where the search begins that a mechanism without a closed
+                form needs; the origin when None.
 
         Raises:
             GeometryError: the loops do not close there.
@@ -156,13 +149,13 @@ class Model:
 
 @lru_cache
 def equations_of(mechanism: Mechanism) -> Equations:
-    """The equations of a mechanism, once."""
+    """The equations of a mechanism, made once."""
     return equations(mechanism)
 
 
 @lru_cache
 def library_of(mechanism: Mechanism) -> Library:
-    """The functions of a mechanism, compiled where that can be done, once.
+    """The functions of a mechanism, made once and compiled where that can be done.
 
     Raises:
         ParameterError: the mechanism contradicts itself.
@@ -213,10 +206,8 @@ def library_of(mechanism: Mechanism) -> Library:
             {"M": e.M, "h": e.h, "x_ddot": e.forward_dynamics},
         ),
     ]
-    q_a, mode = (
-        ca.SX.sym("q_a", mechanism.n),
-        ca.SX.sym("assembly_mode", e.s_blocks.numel()),
-    )
+    q_a = ca.SX.sym("q_a", mechanism.n)
+    mode = ca.SX.sym("assembly_mode", e.s_blocks.numel())
     direct = mechanism.direct_geometric_model(q_a, mode, p)
     if direct is None:
         functions.append(_closed_near(mechanism, e))
@@ -234,7 +225,7 @@ def library_of(mechanism: Mechanism) -> Library:
 def _place(
     mechanism: Mechanism, e: Equations, vector: Symbol, x: Symbol
 ) -> dict[str, Symbol]:
-    """What there is to say of a place of the platform."""
+    """The results of ``Model.place``."""
     at = e.at(
         vector,
         mechanism.inverse_geometric_model(x, mechanism.named(vector)),
@@ -253,8 +244,8 @@ def _place(
 
 
 def _closed_near(mechanism: Mechanism, e: Equations) -> ca.Function:
-    """The platform of given joints by Newton's method from a place near it, and its
-    mirror image.
+    """The function that finds the platform of given joints, by Newton's method from a
+    place near it, and its mirror image.
     """
     vector, p = mechanism.symbols()
     q_a, near = ca.SX.sym("q_a", mechanism.n), ca.SX.sym("near", mechanism.n)
@@ -273,15 +264,15 @@ def _closed_near(mechanism: Mechanism, e: Equations) -> ca.Function:
 
 
 def check_geometry(model: Model, places: Array) -> None:
-    """The geometric models satisfy the closures, the direct one on its side of the
-    locus, and M is positive definite.
+    """Check that the geometric models satisfy the closures, the direct one on its side
+    of the locus, and that M is positive definite.
 
     Args:
         model: of the robot.
-        places: (m, n) platform positions that it reaches.
+        places: platform positions that it reaches, (m, n), m.
 
     Raises:
-        ParameterError: they do not, or there is no such place.
+        ParameterError: the mechanism contradicts itself at one of the places.
     """
     mechanism = model.mechanism
     vector, p = mechanism.symbols()
@@ -289,44 +280,31 @@ def check_geometry(model: Model, places: Array) -> None:
     closures = ca.Function(
         "closures", [vector, q_a, x], [mechanism.closures(q_a, x, p)]
     )
-    size = float(
-        np.abs(np.array(closures(model.p, np.zeros(model.n), places[0]))).max()
-    )
+
+    def gap_at(joints: Array, place: Array) -> float:
+        return float(np.abs(np.array(closures(model.p, joints, place))).max())
+
+    rest = np.zeros(model.n)
+    size = gap_at(rest, places[0])
     for place in places:
-        gap = float(
-            np.abs(
-                np.array(closures(model.p, model.inverse_geometric_model(place), place))
-            ).max()
-        )
+        joints, s = model.inverse_geometric_model(place), model.place(place).s.item()
+        gap, at = gap_at(joints, place), np.round(place, 6).tolist()
         if not gap <= CLOSED * max(size, 1e-12):
             raise ParameterError(
                 f"the inverse geometric model of {mechanism.name} leaves its closures"
-                f" open by {gap:.3g} at x = {np.round(place, 6).tolist()}; it must"
-                " satisfy them"
+                f" open by {gap:.3g} at x = {at}; it must satisfy them"
             )
-        joints, s, at = (
-            model.inverse_geometric_model(place),
-            model.place(place).s.item(),
-            np.round(place, 6).tolist(),
-        )
         if abs(s) > CLEAR and "direct_geometric_model" in model.library.symbolic:
             found = model.direct_geometric_model(joints, np.sign(s), place)
-            if not np.linalg.norm(found - place) <= RETURNED * max(
-                float(np.linalg.norm(place)), 1e-3
-            ):
+            allowed = RETURNED * max(float(np.linalg.norm(place)), 1e-3)
+            if not np.linalg.norm(found - place) <= allowed:
                 raise ParameterError(
                     f"the direct geometric model of {mechanism.name} gives"
                     f" {np.round(found, 6).tolist()} for the joints and the side (s ="
                     f" {s:+.3f}) of x = {at}"
                 )
-        if (
-            not np.linalg.eigvalsh(
-                model.platform_dynamics(
-                    joints, place, np.zeros(model.n), np.zeros(model.n)
-                ).M
-            ).min()
-            > 0.0
-        ):
+        inertia = model.platform_dynamics(joints, place, rest, rest).M
+        if not np.linalg.eigvalsh(inertia).min() > 0.0:
             raise ParameterError(
                 f"the inertia of {mechanism.name} at x = {at} is not positive: its"
                 " Lagrangian has to be kinetic less potential energy"

@@ -1,15 +1,14 @@
-"""How the torques of a motion depend on a mechanism's masses, inertias, friction and
-gravity: the identification's regressor.
+"""The identification's regressor: how the torques of a motion depend on a mechanism's
+masses, inertias, friction and gravity.
 
-The equation is J_inv^T (tau - friction) = force, which is regular on the Type 2 locus,
-and its slopes by the numbers come from differentiating it: no dynamics are written for
-this.
+The equation is J_inv^T (tau - friction) = force, which is regular on the Type 2 locus;
+its slopes by the parameters come from differentiating it.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -30,12 +29,13 @@ SIZES = {
     "kg": 0.05,
     "kg m^2": 1e-4,
 }
-"""By which a number of a unit is counted: what is felt beside the motion's own torques.
+"""The size by which a parameter of a unit is counted: what changes the torques
+noticeably.
 """
 
 
 class Unknown(NamedTuple):
-    """A number of a mechanism that its torques tell something of.
+    """A parameter, or one number of it, that the torques of a motion depend on.
 
     Attributes:
         name: of the parameter, with an axis where it has several numbers.
@@ -52,7 +52,9 @@ class Unknown(NamedTuple):
 
 @lru_cache
 def unknowns_of(mechanism: Mechanism) -> tuple[Unknown, ...]:
-    """The numbers in which the dynamics are linear and on which no geometry depends."""
+    """The parameters in which the dynamics are linear and on which no
+    geometry depends.
+    """
     e = equations_of(mechanism)
     gap, closures = _gap(e), mechanism.closures(e.q_a, e.x, mechanism.named(e.p))
     found, row = [], 0
@@ -82,8 +84,8 @@ def unknowns_of(mechanism: Mechanism) -> tuple[Unknown, ...]:
 
 
 def sizes_of(mechanism: Mechanism, p: Array) -> Array:
-    """By which the unknown numbers are counted: masses and inertias by the largest of
-    the description, others by ``SIZES``.
+    """Sizes (k,), in the unknowns' units such as kg, by which these are counted: masses
+    and inertias by the largest in p (m,), others by ``SIZES``.
     """
     unknowns = unknowns_of(mechanism)
     largest = {
@@ -98,8 +100,8 @@ def sizes_of(mechanism: Mechanism, p: Array) -> Array:
 
 
 def _gap(e: Equations) -> Symbol:
-    """What motors and friction give less what the motion takes (n,), N on the
-    platform.
+    """Force (n,), N, on the platform of motors and friction, less what the motion
+    takes.
     """
     return e.J_inv.T @ (e.tau - e.friction) - e.force
 
@@ -129,7 +131,7 @@ def regressors(mechanism: Mechanism) -> Library:
         e.x_dot,
         e.x_ddot,
     )
-    needed: Any = placed.inverse_dynamics + placed.friction
+    needed = placed.inverse_dynamics + placed.friction
     joints = {"p": e.p, "q_a": e.q_a, "x": e.x}
     return Library(
         [

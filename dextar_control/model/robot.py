@@ -1,6 +1,4 @@
-"""A robot of any mechanism: its numbers, and the limits that planner and controller
-keep.
-"""
+"""A robot of any mechanism: its numbers and limits."""
 
 from __future__ import annotations
 
@@ -8,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import PREFIX, RobotParameters
@@ -38,8 +36,7 @@ LIMITS = (
 
 @dataclass(frozen=True)
 class Robot:
-    """A mechanism with its numbers and limits; what ``RobotParameters`` is for the
-    five-bar.
+    """A mechanism with its numbers and limits, as ``RobotParameters`` is the five-bar.
 
     Attributes:
         mechanism: the equations.
@@ -53,7 +50,7 @@ class Robot:
     """
 
     mechanism: Mechanism
-    items: tuple[tuple[str, Any], ...]
+    items: tuple[tuple[str, object], ...]
     max_torque: float
     max_joint_speed: float
     max_platform_speed: float
@@ -61,9 +58,9 @@ class Robot:
     joint_range: tuple[tuple[float, ...], tuple[float, ...]]
 
     @classmethod
-    def of(cls, mechanism: Mechanism, values: Mapping[str, Any]) -> Robot:
-        """From dotted names: the mechanism's parameters, LIMITS, and where there are
-        bounds ``joint_min`` and ``joint_max``.
+    def of(cls, mechanism: Mechanism, values: Mapping[str, object]) -> Robot:
+        """The robot of values by dotted names: the mechanism's parameters, LIMITS, and
+        where the joints have bounds ``joint_min`` and ``joint_max``.
 
         Raises:
             ParameterError: a number is missing or out of its bounds, or unknown.
@@ -113,7 +110,7 @@ class Robot:
         return cls(mechanism, frozen, **limits, joint_range=(low, high))
 
     @property
-    def numbers(self) -> dict[str, Any]:
+    def numbers(self) -> dict[str, object]:
         """The mechanism's parameters by their dotted names."""
         return dict(self.items)
 
@@ -124,15 +121,18 @@ class Robot:
 
     @property
     def encoder_offset(self) -> tuple[float, ...]:
-        """Of the active joints, rad (m): none."""
+        """The offsets of the active joints, rad (m): none."""
         return (0.0,) * self.mechanism.n
 
     @property
     def working_mode(self) -> tuple[int, ...]:
-        """Of the legs, where the mechanism has such a parameter."""
-        return tuple(int(side) for side in self.numbers.get("working_mode", ()))
+        """The working mode of the legs, where the mechanism has such a parameter."""
+        return tuple(
+            int(side)
+            for side in cast("tuple[float, ...]", self.numbers.get("working_mode", ()))
+        )
 
-    def replace(self, **changes: Any) -> Robot:
+    def replace(self, **changes: object) -> Robot:
         """A copy with numbers or limits changed, by their dotted names."""
         low, high = self.joint_range
         now = (

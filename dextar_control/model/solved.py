@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 
-from dextar_control.mechanisms.mechanism import Mechanism
+from dextar_control.mechanisms.mechanism import Mechanism, Values
 from dextar_control.symbols.singular import singular_vectors
 from dextar_control.symbols.types import Symbol
 
 NEWTON_STEPS = 6  # from a guess of the second order: each doubles the digits
 
 
-def mirror_image(mechanism: Mechanism, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
-    """The other place (n,) of the platform that the joints q_a leave, with -sign(s);
-    near the locus near to x.
+def mirror_image(mechanism: Mechanism, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
+    """The platform position (n,), m, with -sign(s) that has the same joints as x; near
+    the locus it is near x.
 
     Where the mechanism knows no closed form it is found by Newton's method, from where
     the quadratic terms of the closures put it along the weak direction.
+
+    Args:
+        mechanism: the equations.
+        q_a: active joints, (n,), rad or m.
+        x: platform position, (n,), m.
+        p: symbols or numbers.
     """
     known = mechanism.mirror_image(q_a, x, p)
     if known is not None:
@@ -34,9 +38,14 @@ def mirror_image(mechanism: Mechanism, q_a: Symbol, x: Symbol, p: Any) -> Symbol
     return closed_near(mechanism, q_a, guess, p)
 
 
-def closed_near(mechanism: Mechanism, q_a: Symbol, guess: Symbol, p: Any) -> Symbol:
-    """The place (n,) of the platform that closes the loops, by Newton's method from a
-    guess near it.
+def closed_near(mechanism: Mechanism, q_a: Symbol, guess: Symbol, p: Values) -> Symbol:
+    """The platform position (n,), m, that closes the loops, by Newton's method.
+
+    Args:
+        mechanism: the equations.
+        q_a: active joints, (n,), rad or m.
+        guess: near the position, (n,), m.
+        p: symbols or numbers.
     """
     place = ca.SX.sym("place", mechanism.n)
     closures = mechanism.closures(q_a, place, p)

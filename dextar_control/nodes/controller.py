@@ -28,7 +28,7 @@ from dextar_control.contract.settings import SETTINGS, Settings
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import JOINT_STATES, TRAJECTORY
 from dextar_control.control.loop import ControlLoop
-from dextar_control.control.phases import LIMP, MOVING, Phase, Tick
+from dextar_control.control.phases import MOVING, WITHOUT_LAW, Phase, Tick
 from dextar_control.control.stream import StateStream
 from dextar_control.control.verdicts import OPEN_BEFORE, Passed, Verdict
 from dextar_control.nodekit.cdr import NANOSECONDS, from_time
@@ -517,7 +517,7 @@ class ControllerNode(ManagedNode):
                 second = self._second_publishers
             loop.reason = "; ".join(filter(None, (late, loop.reason, second)))
         before, self._logged_phase = self._logged_phase, (loop.phase, loop.reason)
-        if not answered and loop.phase in LIMP:
+        if not answered and loop.phase in WITHOUT_LAW:
             self._outputs.release()
         if loop.phase in LATCHED:
             since = self._latched[1]
@@ -675,7 +675,7 @@ class ControllerNode(ManagedNode):
                     loop.disable()
         except StateError as error:
             return self._answer(response, False, str(error))
-        wanted = loop is None or (loop.phase in LIMP) != request.data
+        wanted = loop is None or (loop.phase in WITHOUT_LAW) != request.data
         return self._answer(response, wanted)
 
     def _on_stop(

@@ -9,7 +9,7 @@ from rclpy.serialization import deserialize_message
 
 from dextar_control.contract.errors import StateError
 from dextar_control.contract.topics import EXTERNAL_POSE
-from dextar_control.estimation.estimate import Pose
+from dextar_control.estimation.estimate import ExternalPosition
 from dextar_control.nodekit.cdr import NANOSECONDS, from_time
 from dextar_control.nodekit.layouts import template
 from dextar_control.nodekit.node import DextarNode, qos
@@ -43,7 +43,7 @@ class ExternalPoseReader:
         self.refused = 0
         self.note = ""
 
-    def take(self) -> Pose | None:
+    def take(self) -> ExternalPosition | None:
         """Return the oldest measurement that waits; None when there is none or it is
         refused.
         """
@@ -60,7 +60,7 @@ class ExternalPoseReader:
         self.note = ""
         return pose
 
-    def read(self, raw: bytes) -> Pose:
+    def read(self, raw: bytes) -> ExternalPosition:
         """Return the measurement in a message's bytes.
 
         Raises:
@@ -69,13 +69,13 @@ class ExternalPoseReader:
         known = self._template.unpack(raw)
         if known is not None:
             stamp, values = known
-            return Pose(
+            return ExternalPosition(
                 stamp / NANOSECONDS, messages.finite_position(values[0], values[1])
             )
         message = deserialize_message(raw, PoseStamped)
         position = messages.position_in_base(message)
         self._template.learn(raw)
-        return Pose(from_time(message.header.stamp) / NANOSECONDS, position)
+        return ExternalPosition(from_time(message.header.stamp) / NANOSECONDS, position)
 
     def close(self) -> None:
         """Destroy the subscription."""

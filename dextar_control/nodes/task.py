@@ -17,7 +17,7 @@ from dextar_control.planning.excitation import plan_excitation
 from dextar_control.planning.locus import locus_point
 from dextar_control.planning.planner import (
     PLAN_RESIDUAL,
-    Criterion,
+    CrossingCriterion,
     Plan,
     plan_approach,
     plan_crossing,
@@ -38,7 +38,7 @@ UNREACHED = (
     " of the controller)"
 )
 MOST_LINES = 24  # of a certificate in words
-CRITERIA = tuple(criterion.name.lower() for criterion in Criterion)
+CRITERIA = tuple(criterion.name.lower() for criterion in CrossingCriterion)
 
 PARAMETERS = (
     Parameter(
@@ -177,7 +177,7 @@ class Task:
     dwell: float
     repeat: int
     locus_time: float
-    criterion: Criterion
+    criterion: CrossingCriterion
 
     @classmethod
     def from_values(cls, values: Mapping[str, ParameterValue]) -> Task:
@@ -226,7 +226,7 @@ class Task:
             dwell=values["dwell"],
             repeat=values["repeat"],
             locus_time=values["locus_time"],
-            criterion=Criterion[values["criterion"].upper()],
+            criterion=CrossingCriterion[values["criterion"].upper()],
         )
 
     def plan(self, robot: RobotParameters, progress: Progress = silent) -> Plan:

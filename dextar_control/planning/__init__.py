@@ -1,3 +1,3 @@
-"""Planning: trajectories, what they ask of the robot, and the search for those that
-cross the Type 2 locus.
+"""Trajectories, their certificates, and the search for those that cross the Type 2
+locus.
 """

@@ -1,6 +1,4 @@
-"""Attempts at a way: the best one so far, at another duration, and in words why there
-is none.
-"""
+"""Attempts at a way: the best so far, its stretching in time, and why there is none."""
 
 from __future__ import annotations
 
@@ -32,14 +30,10 @@ from dextar_control.planning.search import (
 from dextar_control.planning.trajectory import Trajectory, in_words
 from dextar_control.symbols.record import Record
 
-BASE_DURATION, PACE = (
-    0.25,
-    0.8,
-)  # s and m/s: duration over a way's length at which a way of open duration is searched
-RESTARTS, RESTART_SPREAD = (
-    24,
-    0.15,
-)  # from the best so far where it is not good, and by how much it is shaken
+# s and m/s: a way of open duration is searched at BASE_DURATION + length / PACE
+BASE_DURATION, PACE = 0.25, 0.8
+# from the best so far where it is not good, and by how much it is shaken
+RESTARTS, RESTART_SPREAD = 24, 0.15
 BISECTIONS = 3  # of the nearest duration
 HEADROOM = 1.002  # of a duration over the one at which the limit is met
 LONGEST_STRETCH = 20.0  # of the duration, that is offered instead
@@ -48,8 +42,8 @@ SETTLED = 0.01  # of the duration, below which it is not stretched again
 
 
 def scale_of(duration: float | None, length: float) -> float:
-    """The duration, s, at which a way of some length, m, is searched: the one asked
-    for, or one for its length.
+    """The duration, s, at which a way of some length, m, is searched: the duration
+    asked for, or where it is open one for the length.
 
     Raises:
         TrajectoryError: the one asked for is not positive.
@@ -72,7 +66,7 @@ class Attempt(NamedTuple):
 
     @property
     def good(self) -> bool:
-        """Whether it is a plan at which the search may stop."""
+        """Whether it is a plan at which the search stops."""
         return self.plan is not None and self.cost < GOOD
 
 
@@ -84,14 +78,13 @@ class Best:
         self.found: Attempt | None = None
 
     def offer(self, problem: Problem, guess: Record) -> bool:
-        """Descend from a guess; True when the best so far is good enough to stop."""
+        """Descend from a guess; True when the best so far is good enough to stop at."""
         cost, z = descend(problem, guess)
         plan, error = None, None
         try:
             plan = _checked(self.robot, trajectory_of(problem, z))
-            cost += max(
-                0.0, plan.certificate.peak_torque / problem.limits.torque - GOOD
-            )
+            share = plan.certificate.peak_torque / problem.limits.torque
+            cost += max(0.0, share - GOOD)
         except TrajectoryError as refusal:
             error = refusal
         new, old = Attempt(problem, z, cost, plan, error), self.found
@@ -100,8 +93,8 @@ class Best:
         return self.found is not None and self.found.good
 
     def restart(self, enough: Callable[[Attempt], bool], progress: Progress) -> None:
-        """Descents from the best attempt, bends open, first as it is, then shaken,
-        until it is enough.
+        """Descend from the best attempt with bends open, first as it is, then shaken,
+        until ``enough`` of the best attempt holds.
         """
         generator = np.random.default_rng(0)
         for row in range(RESTARTS):
@@ -120,8 +113,13 @@ class Best:
         stretch: bool,
         other_point: Callable[[], LocusPoint | None] = lambda: None,
     ) -> Plan:
-        """The plan, at the duration at which its peak torque is TORQUE_SHARE of the
-        limit if it is to be stretched.
+        """The best plan.
+
+        Args:
+            what: is planned, in messages.
+            stretch: to the duration at which its peak torque is TORQUE_SHARE of the
+                limit.
+            other_point: finds a point nearby that works.
 
         Raises:
             TrajectoryError: there is none; says what stands in the way, by how much,
@@ -154,24 +152,20 @@ class Best:
 
 
 def scalable(model: Model, trajectory: Trajectory) -> bool:
-    """Whether a trajectory's time may be scaled, and reversed.
-
-    The robot needs no torque at rest where it starts and ends, and its passive joints
-    do not rub.
+    """Whether a trajectory keeps the criterion when its time is scaled or reversed: the
+    robot needs no torque at rest where it starts and ends, and its passive joints have
+    no friction.
     """
     rest, motion = np.zeros(model.n), np.ones(model.n)
     for x in (trajectory.at(0.0).x, trajectory.at(trajectory.duration).x):
-        at = model.place(x).q_a, x
         still, there, back = (
-            model.wrenches(*at, x_dot, rest) for x_dot in (rest, motion, -motion)
+            model.wrenches(model.place(x).q_a, x, x_dot, rest)
+            for x_dot in (rest, motion, -motion)
         )
-        if (
-            still.w_b.any()
-            or still.w_d.any()
-            or (there.w_b != back.w_b).any()
-            or (there.w_d != back.w_d).any()
-        ):
-            return False
+        for name in ("w_b", "w_d"):
+            turned = getattr(there, name) != getattr(back, name)
+            if getattr(still, name).any() or turned.any():
+                return False
     return True
 
 
@@ -187,7 +181,7 @@ def _checked(robot: AnyRobot, trajectory: Trajectory) -> Plan:
 
 
 def _needed(robot: AnyRobot, seen: Certificate, torque: float) -> float:
-    """The share of its duration at which a way keeps this torque, N m, and the speed
+    """The factor of its duration at which a way keeps a torque, N m, and the speed
     limits.
     """
     return max(
@@ -198,21 +192,15 @@ def _needed(robot: AnyRobot, seen: Certificate, torque: float) -> float:
 
 
 def _stretched(robot: AnyRobot, found: Attempt) -> Plan:
-    """An attempt at the duration at which its peak torque is TORQUE_SHARE of the
-    limit.
+    """The plan of an attempt at the duration at which its peak torque is TORQUE_SHARE
+    of the limit.
     """
     problem, z = found.problem, found.z
     duration, trajectory = problem.task.duration, trajectory_of(problem, z)
+    torque = TORQUE_SHARE * robot.max_torque
     for _ in range(STRETCHES):
-        factor = float(
-            np.clip(
-                _needed(
-                    robot, measure(robot, trajectory), TORQUE_SHARE * robot.max_torque
-                ),
-                0.5,
-                2.0,
-            )
-        )
+        needed = _needed(robot, measure(robot, trajectory), torque)
+        factor = float(np.clip(needed, 0.5, 2.0))
         if 1.0 - SETTLED < factor <= 1.0:
             break
         duration *= factor
@@ -226,15 +214,15 @@ def _stretched(robot: AnyRobot, found: Attempt) -> Plan:
 
 
 def _nearest_duration(robot: AnyRobot, found: Attempt) -> float | None:
-    """A duration, s, at which an attempt's way works, when only its torque or speed is
-    in the way.
+    """The least duration, s, at which an attempt's way works; None where more than its
+    torque or speed is in the way.
     """
     problem, z = found.problem, found.z
     seen = measure(robot, trajectory_of(problem, z))
     sound = np.isfinite(seen.profile.torque).all() and len(seen.crossing_times) == 1
     if not sound or seen.least_type1 < robot.min_type1_distance:
         return None
-    low = problem.task.duration
+    low: float = problem.task.duration
     high = min(_needed(robot, seen, robot.max_torque) * HEADROOM, LONGEST_STRETCH) * low
 
     def works(duration: float) -> bool:

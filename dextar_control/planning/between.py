@@ -21,7 +21,7 @@ from dextar_control.planning.regular import side_of
 from dextar_control.planning.search import (
     BENDS,
     LOCUS_TIME,
-    Criterion,
+    CrossingCriterion,
     Problem,
     Progress,
     crossing_problem,
@@ -31,18 +31,11 @@ from dextar_control.planning.trajectory import in_words, lengths_along
 from dextar_control.symbols.record import Record
 from dextar_control.symbols.types import Array
 
-SHIFTS = (
-    0.0,
-    0.025,
-    -0.025,
-)  # m along the locus, of the places where a crossing is tried
+# m along the locus, of the places where a crossing is tried
+SHIFTS = (0.0, 0.025, -0.025)
 DETOUR = 1.05  # length of a way over the straight one above which the guess is bent
-OPEN = (
-    "split",
-    "velocity",
-    "strong",
-    "jerk",
-)  # what the search chooses, beside where to cross if that is open
+# what the search chooses, beside where to cross if that is open
+OPEN = ("split", "velocity", "strong", "jerk")
 
 
 def _ends(robot: AnyRobot, start: Array, goal: Array) -> tuple[float, float]:
@@ -74,22 +67,23 @@ def plan_crossing(
     duration: float | None = None,
     *,
     point: LocusPoint | Array | None = None,
-    criterion: Criterion = Criterion.RECIPROCAL,
+    criterion: CrossingCriterion = CrossingCriterion.RECIPROCAL,
     locus_time: float = LOCUS_TIME,
     progress: Progress = silent,
 ) -> Plan:
-    """One way from start to goal, rest to rest, through the locus once.
+    """Plan one way from start to goal, rest to rest, through the locus once.
 
     Args:
-        start, goal: (n,) m, on two sides of the Type 2 locus.
+        robot: of any mechanism.
+        start, goal: (n,), m, on two sides of the Type 2 locus.
         duration: s; chosen when None, so that the peak torque is TORQUE_SHARE of the
             limit.
         point: of the locus where to cross; chosen when None (of a locus that is not
             traced: the nearest to the middle).
-        criterion: what holds at the crossing.
-        locus_time: s near the locus that costs as much as a peak torque of
-            TORQUE_SHARE: more of it rushes less through, with less torque; less of it
-            leaves what is not modelled less time where it cannot be controlled.
+        criterion: what is imposed at the crossing.
+        locus_time: s near the locus that cost as much as a peak torque of TORQUE_SHARE:
+            with more the robot passes more slowly and with less torque; with less what
+            is not modelled acts for less time where it cannot be controlled.
         progress: called with the fraction done and what is being tried.
 
     Raises:
@@ -99,10 +93,7 @@ def plan_crossing(
             limits was found; the message names the limit that the best one breaks and
             the nearest duration that works.
     """
-    start, goal = (
-        np.asarray(start, dtype=np.float64),
-        np.asarray(goal, dtype=np.float64),
-    )
+    start, goal = np.asarray(start, np.float64), np.asarray(goal, np.float64)
     sides = _ends(robot, start, goal)
     place = None if point is None else place_of(robot, point)
     before, after = _parts(robot, start, goal, sides, place)
@@ -152,8 +143,8 @@ def _parts(
     sides: tuple[float, float],
     place: LocusPoint | None,
 ) -> tuple[Array, Array]:
-    """The places of a way from start to goal before and after its crossing: the ends
-    alone where no map of the plane is made.
+    """The places (m, n), m, of a way from start to goal before and after its crossing;
+    the ends alone where there are no ``Regions``.
 
     Raises:
         TrajectoryError: Type 1 parts start and goal.
@@ -186,8 +177,8 @@ def _parts(
 def _guess(
     problem: Problem, point: LocusPoint, before: Array, after: Array, bent: bool
 ) -> Record:
-    """The variables of a way given by its places before and after the crossing, bent
-    along them or straight.
+    """The variables of a way given by its places (m, n), m, before and after the
+    crossing, bent along them or straight.
     """
     unit = problem.task.length
     before, after = np.vstack([before, point.x]), np.vstack([point.x, after])
@@ -213,8 +204,8 @@ def _guess(
 
 
 def _bends(way: Array) -> Array:
-    """(n, 2): the first bump takes the middle of the straight way to the middle of this
-    one (m, n), m; the second is none.
+    """Bends (n, 2), m: the first bump takes the middle of the straight way to the
+    middle of this way (m, n), m; the second is zero.
     """
     reached = lengths_along(way)
     middle = np.array([np.interp(0.5 * reached[-1], reached, along) for along in way.T])

@@ -1,5 +1,5 @@
-"""A motion from or to the locus on symbols: polynomials from a crossing's state, and
-what a candidate costs.
+"""Candidates of a search on symbols: polynomials from a crossing's state, and their
+cost.
 
 Each half runs from the state at a crossing (position, velocity, acceleration, jerk) to
 a state at its end, by a polynomial of degree 7 per coordinate, bent by two bumps that
@@ -12,7 +12,7 @@ on the symbols, in reverse mode.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -24,6 +24,8 @@ from dextar_control.symbols.record import Field, Layout
 from dextar_control.symbols.types import Symbol
 
 _POWERS = np.arange(4.0, 8.0)
+# (4, 4) coefficients of the powers 4 to 7 over what position, velocity, acceleration
+# and jerk lack at the end
 _END = np.linalg.inv(
     np.array(
         [
@@ -33,19 +35,17 @@ _END = np.linalg.inv(
             _POWERS * (_POWERS - 1) * (_POWERS - 2),
         ]
     )
-    # of the four highest powers, from what position, velocity, acceleration and jerk
-    # lack
-    # at the end
 )
+# (2, 6) coefficients of the bumps, of the powers 4 to 9
 _BUMP = 256.0 * np.array(
     [[1.0, -4.0, 6.0, -4.0, 1.0, 0.0], [-1.0, 6.0, -14.0, 16.0, -9.0, 2.0]]
-)  # powers 4 to 9
+)
 ROWS = 10  # coefficients of a half
 ARGUMENTS = "p", "limits", "task", "variables"  # of a candidate's functions
 
 HALF_SAMPLES = 24  # of each half while optimising, none of them on the locus
 DENSITY = 0.35  # spacing of those samples at the crossing over their mean spacing
-NEAR = 0.15  # |s| that counts as near the locus
+NEAR_WIDTH = 0.15  # |s| over which a sample stops counting as near the locus
 NEAR_EMPHASIS = 1.0  # how much more a torque on the locus counts than one away from it
 EXCESS = 1.0  # how much more a peak torque counts beyond the one that costs one
 SOFT_MAXIMUM = 12  # exponent of the mean that stands for the peak torque
@@ -56,22 +56,19 @@ SPLIT_LEAST = 0.2  # fraction of the time on either side of the crossing
 SPAN_MOST = 2.0  # logarithm of a leg's half over its scale
 
 _SHARES = (np.arange(HALF_SAMPLES) + 0.5) / HALF_SAMPLES
-_FRACTIONS = np.append(
-    _SHARES * (DENSITY + (1.0 - DENSITY) * _SHARES**2), 1.0
-)  # of a half's time, the last at its end
-_WEIGHTS = (
-    DENSITY + 3.0 * (1.0 - DENSITY) * _SHARES**2
-) / HALF_SAMPLES  # of the time that a sample stands for
-_FLOORS = np.minimum(
-    0.3 * _FRACTIONS[:-1], 0.1
-)  # |s| that a candidate keeps on its way out of the locus
+# fractions of a half's time at the samples, the last at its end
+_FRACTIONS = np.append(_SHARES * (DENSITY + (1.0 - DENSITY) * _SHARES**2), 1.0)
+# share of the time that each sample stands for
+_WEIGHTS = (DENSITY + 3.0 * (1.0 - DENSITY) * _SHARES**2) / HALF_SAMPLES
+# |s| that a candidate keeps at each sample on its way out of the locus
+_FLOORS = np.minimum(0.3 * _FRACTIONS[:-1], 0.1)
 
 
 class Layouts(NamedTuple):
-    """Of the records of a search.
+    """The layouts of a search's records.
 
     Attributes:
-        limits: what costs one, and what must hold.
+        limits: what costs one, and the limits.
         crossing_task: what is given of a crossing.
         crossing: its variables, lengths over ``length`` and times over ``duration`` of
             the task.
@@ -88,7 +85,7 @@ class Layouts(NamedTuple):
 
 @lru_cache
 def layouts(n: int) -> Layouts:
-    """For n degrees of freedom."""
+    """The layouts for n degrees of freedom."""
     bends = (
         Field("first_bends", "1", "heights of the bumps of the first half", n, 2),
         Field("second_bends", "1", "and of the second", n, 2),
@@ -190,18 +187,14 @@ def layouts(n: int) -> Layouts:
 
 
 def half(n: int) -> ca.Function:
-    """The coefficients (n, ROWS) of a half by rising power of the share of its span,
-    for n degrees of freedom.
+    """The function that gives the coefficients (n, ROWS) of a half by rising power of
+    the share of its span, for n degrees of freedom.
 
     It takes ``begin`` and ``end``, (n, 4) columns x, x_dot, x_ddot, jerk; ``span``, s,
     which may be < 0; and ``bends``, (n, 2) heights of the bumps, m, one column a bump.
     """
-    begin, end, bends, span = (
-        ca.SX.sym("begin", n, 4),
-        ca.SX.sym("end", n, 4),
-        ca.SX.sym("bends", n, 2),
-        ca.SX.sym("span"),
-    )
+    begin, end = ca.SX.sym("begin", n, 4), ca.SX.sym("end", n, 4)
+    bends, span = ca.SX.sym("bends", n, 2), ca.SX.sym("span")
     low = ca.horzcat(
         begin[:, 0],
         begin[:, 1] * span,
@@ -225,8 +218,8 @@ def half(n: int) -> ca.Function:
 
 
 def candidates(mechanism: Mechanism, e: Equations) -> list[ca.Function]:
-    """``half``, ``crossing`` and ``leg``: the halves of a candidate, and what its own
-    variables cost.
+    """The functions ``half``, ``crossing`` and ``leg``: the halves of a candidate, and
+    what its variables cost by themselves.
     """
     layout, curve = layouts(mechanism.n), half(mechanism.n)
     parts = _crossing(mechanism, e, layout), _leg(e.p, layout)
@@ -240,7 +233,7 @@ def candidates(mechanism: Mechanism, e: Equations) -> list[ca.Function]:
 
 
 def _crossing(mechanism: Mechanism, e: Equations, layout: Layouts) -> ca.Function:
-    """What the halves of a crossing are made of."""
+    """The ends, bends and spans of the halves of a crossing."""
     given, task = layout.crossing_task.symbols("task")
     free, z = layout.crossing.symbols("variables")
     unit, p = task["length"] / task["duration"], mechanism.named(e.p)
@@ -250,31 +243,22 @@ def _crossing(mechanism: Mechanism, e: Equations, layout: Layouts) -> ca.Functio
     x_dot = task["directions"] @ z["velocity"] * unit
     at = e.at(e.p, q_a, x, x_dot, e.x_ddot)  # linear in x_ddot
     t_s, mass = at.singular.v_weak, ca.jacobian(at.w_d, e.x_ddot)
-    strong = (
-        at.singular.v_strong
-        @ z["strong"][: at.singular.v_strong.shape[1]]
-        * unit
-        / task["duration"]
-    )
-    residual, w_d = (
-        ca.substitute(at.criterion, e.x_ddot, strong),
-        ca.substitute(at.w_d, e.x_ddot, ca.SX.zeros(mechanism.n)),
-    )
-    reciprocal = strong - t_s @ ca.solve(
-        t_s.T @ mass @ t_s, residual
-    )  # Eq. 5: t_s . w_d = 0
+    v_strong = at.singular.v_strong
+    strong = v_strong @ z["strong"][: v_strong.shape[1]] * unit / task["duration"]
+    residual = ca.substitute(at.criterion, e.x_ddot, strong)
+    w_d = ca.substitute(at.w_d, e.x_ddot, ca.SX.zeros(mechanism.n))
+    weak = ca.solve(t_s.T @ mass @ t_s, residual)
+    reciprocal = strong - t_s @ weak  # Eq. 5: t_s . w_d = 0
     x_ddot = ca.if_else(task["zero_wrench"] > 0.5, -ca.solve(mass, w_d), reciprocal)
     begin = ca.horzcat(x, x_dot, x_ddot, z["jerk"] * unit / task["duration"] ** 2)
-    before = (
-        ca.fmin(ca.fmax(z["split"], SPLIT_LEAST), 1.0 - SPLIT_LEAST) * task["duration"]
-    )
+    split = ca.fmin(ca.fmax(z["split"], SPLIT_LEAST), 1.0 - SPLIT_LEAST)
+    before = split * task["duration"]
     rests = [
         ca.horzcat(z[name] * task["length"], ca.SX.zeros(mechanism.n, 3))
         for name in ("start", "goal")
     ]
-    own = 10.0 * _over(ca.fabs(z["split"] - 0.5), 0.5 - SPLIT_LEAST) + UNCLOSED * _over(
-        0.0, closing
-    )
+    uneven = _excess(ca.fabs(z["split"] - 0.5), 0.5 - SPLIT_LEAST)
+    own = 10.0 * uneven + UNCLOSED * _excess(0.0, closing)
     return _parts(
         [e.p, layout.limits.symbols()[0], given, free],
         {
@@ -292,7 +276,7 @@ def _crossing(mechanism: Mechanism, e: Equations, layout: Layouts) -> ca.Functio
 
 
 def _leg(p: Symbol, layout: Layouts) -> ca.Function:
-    """What the halves of a leg are made of."""
+    """The ends, bends and spans of the halves of a leg."""
     limits, limit = layout.limits.symbols()
     given, task = layout.leg_task.symbols("task")
     free, z = layout.leg.symbols("variables")
@@ -305,7 +289,7 @@ def _leg(p: Symbol, layout: Layouts) -> ca.Function:
     )
     spans = ca.exp(ca.fmin(z["spans"], SPAN_MOST)) * task["duration"]
     own = (
-        10.0 * ca.sum1(_over(ca.fabs(z["spans"]), SPAN_MOST))
+        10.0 * ca.sum1(_excess(ca.fabs(z["spans"]), SPAN_MOST))
         + ca.sum1(spans) / limit["time"]
     )
     return _parts(
@@ -325,15 +309,12 @@ def _leg(p: Symbol, layout: Layouts) -> ca.Function:
 
 
 def _parts(arguments: list[Symbol], results: dict[str, Symbol]) -> ca.Function:
-    """Differentiable by the last argument alone, the variables."""
-    dense, only = (
-        [ca.densify(result) for result in results.values()],
-        [False] * (len(arguments) - 1) + [True],
-    )
+    """The function of these results, differentiable by the variables alone."""
+    only = [False] * (len(arguments) - 1) + [True]
     return ca.Function(
         "parts",
         arguments,
-        dense,
+        [ca.densify(result) for result in results.values()],
         [*ARGUMENTS],
         [*results],
         {"cse": True, "is_diff_in": only},
@@ -341,7 +322,7 @@ def _parts(arguments: list[Symbol], results: dict[str, Symbol]) -> ca.Function:
 
 
 def _joined(name: str, parts: ca.Function, curve: ca.Function) -> ca.Function:
-    """A candidate's halves, of what they are made of."""
+    """The function that gives a candidate's halves."""
     arguments = [
         ca.MX.sym(given, parts.size1_in(i)) for i, given in enumerate(ARGUMENTS)
     ]
@@ -365,33 +346,30 @@ def _joined(name: str, parts: ca.Function, curve: ca.Function) -> ca.Function:
     )
 
 
-def _over(value: Any, limit: Any) -> Any:
+def _excess(value: Symbol | float, limit: Symbol | float) -> Symbol:
     return ca.fmax(value - limit, 0.0)
 
 
 def _instant(mechanism: Mechanism, e: Equations) -> tuple[ca.Function, ca.Function]:
-    """What one sample of a candidate costs (load, near, broken, reached), and what its
-    end does.
+    """The functions of what one sample of a candidate costs (load, near, broken,
+    reached), and of what its end costs.
     """
     p, layout = mechanism.named(e.p), layouts(mechanism.n).limits
     limits, limit = layout.symbols()
     sign, floor = ca.SX.sym("sign"), ca.SX.sym("floor")
     q_a, extension = mechanism.nearest_joints(e.x, p)
     worst = ca.mmax(ca.fabs(extension))
-    missed = 100.0 * _over(worst, ca.sqrt(_over(1.0, limit["type1"] ** 2)))
+    missed = 100.0 * _excess(worst, ca.sqrt(_excess(1.0, limit["type1"] ** 2)))
     at = e.at(e.p, q_a, e.x, e.x_dot, e.x_ddot)
-    tau, s, reached = (
-        at.inverse_dynamics + at.friction,
-        ca.mmin(sign * at.s_blocks),
-        worst < 1.0,
-    )
-    near = ca.exp(-((s / NEAR) ** 2))
+    tau = at.inverse_dynamics + at.friction
+    s, reached = ca.mmin(sign * at.s_blocks), worst < 1.0
+    near = ca.exp(-((s / NEAR_WIDTH) ** 2))
     square = ((1.0 + NEAR_EMPHASIS * near) / limit["torque"] * tau) ** 2
     fourth = square * square
-    broken = 10.0 * _over(floor, s) + _over(
+    broken = 10.0 * _excess(floor, s) + _excess(
         ca.norm_2(e.x_dot) / limit["platform_speed"], SPEED_SHARE
     )
-    broken += _over(ca.mmax(ca.fabs(at.q_a_dot)) / limit["joint_speed"], SPEED_SHARE)
+    broken += _excess(ca.mmax(ca.fabs(at.q_a_dot)) / limit["joint_speed"], SPEED_SHARE)
     costs = ca.if_else(
         reached,
         ca.vertcat(ca.sum1(fourth * fourth * fourth), near, broken, 1.0),
@@ -405,7 +383,7 @@ def _instant(mechanism: Mechanism, e: Equations) -> tuple[ca.Function, ca.Functi
         {"cse": True, **only},
     )
     end = missed + ca.if_else(
-        reached, 20.0 * _over(limit["end_s"], s), UNREACHABLE / HALF_SAMPLES
+        reached, 20.0 * _excess(limit["end_s"], s), UNREACHABLE / HALF_SAMPLES
     )
     only = {"is_diff_in": [False, False, False, True]}
     return sample, ca.Function(
@@ -413,8 +391,8 @@ def _instant(mechanism: Mechanism, e: Equations) -> tuple[ca.Function, ca.Functi
     )
 
 
-def _basis(order: int) -> Any:
-    """(ROWS, samples) the powers of the samples' fractions, differentiated so many
+def _basis(order: int) -> ca.DM:
+    """The powers of the samples' fractions, (ROWS, samples), differentiated ``order``
     times.
     """
     rows = [
@@ -427,8 +405,8 @@ def _basis(order: int) -> Any:
 def costs(
     mechanism: Mechanism, e: Equations, made: list[ca.Function]
 ) -> list[ca.Function]:
-    """``crossing_cost`` and ``leg_cost``: what a candidate costs, and its gradient over
-    the variables.
+    """The functions ``crossing_cost`` and ``leg_cost``: a candidate's cost and its
+    gradient over the variables.
 
     The cost is its peak torque, its time near the locus, and what it breaks. A torque
     counts more near the locus and beyond what costs one: each comes a little late, and
@@ -461,17 +439,15 @@ def _cost(
         )
         load, close, broken, counted = ca.vertsplit(found)
         weights = ca.fabs(span) * ca.DM(_WEIGHTS)
-        peak, near, total = (
-            peak + load @ weights,
-            near + close @ weights,
-            total + counted @ weights,
-        )
+        peak += load @ weights
+        near += close @ weights
+        total += counted @ weights
         own += ca.sum2(broken) + end(p, limits, signs[row], x[:, -1])
     place = layouts(candidate.size1_out(0)).limits.places
     torque = ca.fmax(peak / ca.fmax(total, 1e-9), 1e-12) ** (1.0 / SOFT_MAXIMUM)
     cost = (
         torque
-        + EXCESS * _over(torque, 1.0)
+        + EXCESS * ca.fmax(torque - 1.0, 0.0)
         + near / limits[place["near_time"][0]]
         + own
     )

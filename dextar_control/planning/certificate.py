@@ -1,11 +1,9 @@
-"""What a trajectory does at and between its crossings, measured against the robot's
-limits.
-"""
+"""Certificates: a trajectory's crossings, its extremes and its profile."""
 
 from __future__ import annotations
 
 import json
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +27,7 @@ NEAR_LOCUS = 0.1  # |s| below which a torque counts as near the locus
 
 
 class Crossing(NamedTuple):
-    """One crossing of a checked trajectory: of one block of A_r, where it has several,
-    and s is that one's.
-    """
+    """One crossing of a trajectory, by one block of A_r, whose s this is."""
 
     time: float  # s
     x: tuple[float, ...]  # m
@@ -48,7 +44,7 @@ class Crossing(NamedTuple):
 
 
 class Certificate(NamedTuple):
-    """A checked trajectory: its crossings and its extremes.
+    """A trajectory's crossings and extremes.
 
     Where A_r has several blocks each crossing is of one: two at once are two crossings.
     """
@@ -68,22 +64,19 @@ class Certificate(NamedTuple):
     profile: Profile
     crossings: tuple[Crossing, ...] = ()
     least_s: float = float("nan")  # |s| at the start and the end
-    joint: Coordinate = Coordinate(
-        "q_a", "rad"
-    )  # an active one, whose units torques and joint speeds have
+    # an active joint, whose units torques and joint speeds have
+    joint: Coordinate = Coordinate("q_a", "rad")
 
-    def to_dict(self) -> dict[str, Any]:
-        """Everything but the profile, in plain numbers and lists: what travels with the
-        trajectory.
+    def to_dict(self) -> dict[str, object]:
+        """The extremes and the crossings in plain numbers and lists, as they travel
+        with the trajectory.
         """
-        numbers = {
+        found: dict[str, object] = {
             name: value
             for name, value in self._asdict().items()
             if isinstance(value, float)
         }
-        return numbers | {
-            "crossings": [crossing._asdict() for crossing in self.crossings]
-        }
+        return found | {"crossings": [one._asdict() for one in self.crossings]}
 
     def to_json(self) -> str:
         """``to_dict`` as JSON; a number that does not exist is null."""
@@ -98,12 +91,8 @@ class Certificate(NamedTuple):
             f" m/s, distance to Type 1 {self.least_type1:.3f}"
         ]
         for index, crossing in enumerate(self.crossings):
-            which = ", ".join(
-                filter(
-                    None,
-                    (crossing.family, f"to s {'>' if crossing.sign > 0 else '<'} 0"),
-                )
-            )
+            family = f"{crossing.family}, " if crossing.family else ""
+            which = f"{family}to s {'>' if crossing.sign > 0 else '<'} 0"
             text.append(
                 f"crossing {index + 1} ({which}) at {crossing.time:.4f} s in"
                 f" {_list(crossing.x)} m, {crossing.speed:.3f} m/s along t_s,"
@@ -120,7 +109,7 @@ def _list(values: tuple[float, ...], digits: int = 4) -> str:
 
 
 class Plan(NamedTuple):
-    """A served trajectory and what was checked about it."""
+    """A trajectory and its certificate."""
 
     trajectory: Trajectory
     certificate: Certificate
@@ -129,7 +118,9 @@ class Plan(NamedTuple):
 def measure(
     robot: AnyRobot, trajectory: Trajectory, period: float = 1e-3
 ) -> Certificate:
-    """A trajectory's crossings and extremes, limits unchecked."""
+    """The certificate of a trajectory, whose limits are not checked; its samples are at
+    most ``period``, s, apart.
+    """
     times = sample_times(trajectory, period)
     rough = sample_profile(robot, trajectory, times)
     every = sorted(
@@ -137,15 +128,11 @@ def measure(
         for block, s in enumerate(rough.s_blocks.T)
         for time in find_crossings(robot, trajectory, times, s, block)
     )
-    crossings, blocks = (
-        np.array([time for time, _ in every]),
-        np.array([block for _, block in every], dtype=np.int64),
-    )
-    profile = (
-        sample_profile(robot, trajectory, np.union1d(times, crossings))
-        if every
-        else rough
-    )
+    crossings = np.array([time for time, _ in every])
+    blocks = np.array([block for _, block in every], dtype=np.int64)
+    profile = rough
+    if every:
+        profile = sample_profile(robot, trajectory, np.union1d(times, crossings))
     rows = np.searchsorted(profile.time, crossings)
     near = np.abs(profile.s) < NEAR_LOCUS
     after = np.minimum(
@@ -182,12 +169,8 @@ def _crossing(
     robot: AnyRobot, profile: Profile, row: int, block: int, sign: float
 ) -> Crossing:
     """The crossing of a block at one row of a profile."""
-    model, x, x_dot, s = (
-        states_model(robot),
-        profile.x[row],
-        profile.x_dot[row],
-        profile.s_blocks[:, block],
-    )
+    model, s = states_model(robot), profile.s_blocks[:, block]
+    x, x_dot = profile.x[row], profile.x_dot[row]
     found, far = model.place(x), np.flatnonzero(np.abs(s) >= NEAR_LOCUS)
     t_s = found.t_s.reshape(model.n, -1)[:, block]
     place = int(np.searchsorted(far, row))

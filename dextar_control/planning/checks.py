@@ -14,9 +14,7 @@ from dextar_control.planning.trajectory import Trajectory, in_words
 from dextar_control.symbols.types import Array
 
 SIDE = 0.3  # |s| of a plan before and after a crossing that is clear of the locus
-GEOMETRY_PLACES = (
-    10  # of a trajectory, at which the geometric models are held against the closures
-)
+GEOMETRY_PLACES = 10  # of a trajectory, at which the geometric models are checked
 REST_SPEED = 1e-6  # m/s
 REST_ACCELERATION = 1e-3  # m/s^2
 
@@ -29,17 +27,18 @@ def certify(
     crossings: int | None = None,
     period: float = 1e-3,
 ) -> Certificate:
-    """A trajectory checked against the criterion, the workspace and the robot's limits.
+    """Check a trajectory against the criterion, the workspace and the robot's limits.
 
     Args:
+        robot: of any mechanism.
+        trajectory: to be checked.
         max_residual: of the criterion at a crossing, N.
-        crossings: at how many instants there must be one; any number when None.
+        crossings: number of instants at which it must cross; any number when None.
         period: of the samples, s.
 
     Raises:
-        TrajectoryError: names the value, the limit and where.
-        ParameterError: the mechanism's geometric model leaves its closures open on the
-            way.
+        TrajectoryError: a check failed; names the value, the limit and where.
+        ParameterError: the mechanism contradicts itself on the way.
     """
     certificate = measure(robot, trajectory, period)
     profile, joint = certificate.profile, certificate.joint
@@ -83,7 +82,7 @@ def certify(
                 "N",
                 row,
             )
-            raise TrajectoryError(f"{refusal}{_rubbing(robot, profile, row)}")
+            raise TrajectoryError(f"{refusal}{_passive_friction(robot, profile, row)}")
     times = np.unique(certificate.crossing_times)
     if crossings is not None and len(times) != crossings:
         instants = ", ".join(f"{time:.4f} s" for time in times) or "none"
@@ -91,75 +90,58 @@ def certify(
             f"the trajectory crosses the locus {len(times)} times ({instants}); it must"
             f" {crossings} times"
         )
-    limits = (
-        (
-            "the peak torque",
-            np.abs(profile.torque).max(axis=1),
-            robot.max_torque,
-            joint.effort_unit,
-        ),
-        (
-            "the peak joint speed",
-            np.abs(profile.q_a_dot).max(axis=1),
-            robot.max_joint_speed,
-            f"{joint.unit}/s",
-        ),
-        (
-            "the peak platform speed",
-            np.linalg.norm(profile.x_dot, axis=1),
-            robot.max_platform_speed,
-            "m/s",
-        ),
+    torque, joint_speed = (
+        np.abs(values).max(axis=1) for values in (profile.torque, profile.q_a_dot)
     )
-    for what, values, limit, unit in limits:
+    platform_speed = np.linalg.norm(profile.x_dot, axis=1)
+    for what, values, limit, unit in (
+        ("torque", torque, robot.max_torque, joint.effort_unit),
+        ("joint speed", joint_speed, robot.max_joint_speed, f"{joint.unit}/s"),
+        ("platform speed", platform_speed, robot.max_platform_speed, "m/s"),
+    ):
         row = int(np.nanargmax(values))
         if not values[row] <= limit:
-            raise fail(what, float(values[row]), limit, unit, row)
+            raise fail(f"the peak {what}", float(values[row]), limit, unit, row)
     return certificate
 
 
-def _rubbing(robot: AnyRobot, profile: Profile, row: int) -> str:
-    """What friction of joints without a motor takes along t_s on the locus; nothing
-    without.
+def _passive_friction(robot: AnyRobot, profile: Profile, row: int) -> str:
+    """The part of a sentence that says how much friction of joints without a motor
+    takes along t_s on the locus; "" without such friction.
     """
-    model, at, x_dot = (
-        Model.of(robot),
-        (profile.q_a[row], profile.x[row]),
-        profile.x_dot[row],
-    )
+    model, q_a, x = Model.of(robot), profile.q_a[row], profile.x[row]
     there, back = (
-        model.wrenches(*at, sign * x_dot, np.zeros(model.n)).w_d for sign in (1.0, -1.0)
+        model.wrenches(q_a, x, sign * profile.x_dot[row], np.zeros(model.n)).w_d
+        for sign in (1.0, -1.0)
     )
-    force = (
-        float(np.abs(model.place(profile.x[row]).t_s.T @ (there - back)).max()) / 2.0
-    )
-    told = (
+    force = float(np.abs(model.place(x).t_s.T @ (there - back)).max()) / 2.0
+    if not force > 0.0:
+        return ""
+    return (
         "; there the friction of joints without a motor, as described, takes"
-        f" {force:.3g} N along t_s, where only inertia can"
+        f" {force:.3g} N along t_s, where only inertia can balance it: check the"
+        " description"
     )
-    return f"{told} balance it: check the description" if force > 0.0 else ""
 
 
 def beyond_range(robot: AnyRobot, q_a: Array) -> Array:
-    """How far each active joint (..., n), rad (m), is outside its range, rad (m);
+    """The distance of each active joint (..., n), rad (m), from its range, rad (m);
     negative inside.
 
     An angle counts on any turn: a range of a whole turn is no bound.
     """
     low, high = (np.array(bounds) for bounds in robot.joint_range)
-    off, turns = (
-        q_a - 0.5 * (low + high),
-        [joint.unit == "rad" for joint in states_model(robot).mechanism.joints],
-    )
-    on_one_turn = np.where(
-        turns, off - 2.0 * np.pi * np.floor((off + np.pi) / (2.0 * np.pi)), off
-    )
-    return np.asarray(np.abs(on_one_turn) - 0.5 * (high - low))
+    turns = [joint.unit == "rad" for joint in states_model(robot).mechanism.joints]
+    off = q_a - 0.5 * (low + high)
+    on_one_turn = off - 2.0 * np.pi * np.floor((off + np.pi) / (2.0 * np.pi))
+    return np.asarray(np.abs(np.where(turns, on_one_turn, off)) - 0.5 * (high - low))
 
 
 def check_joint_range(robot: AnyRobot, profile: Profile) -> None:
-    """Raise TrajectoryError where an active joint leaves its range; names the joint,
-    its angle and the range.
+    """Check that the active joints stay in their ranges.
+
+    Raises:
+        TrajectoryError: one does not; names the joint, its position and the range.
     """
     beyond = beyond_range(robot, profile.q_a)
     row, leg = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
@@ -176,13 +158,15 @@ def check_joint_range(robot: AnyRobot, profile: Profile) -> None:
 
 
 def check_rest(trajectory: Trajectory) -> None:
-    """Raise TrajectoryError unless the trajectory starts and ends at rest."""
+    """Check that a trajectory starts and ends at rest.
+
+    Raises:
+        TrajectoryError: it does not.
+    """
     for name, time in (("start", 0.0), ("end", trajectory.duration)):
         point = trajectory.at(time)
-        speed, acceleration = (
-            float(np.linalg.norm(point.x_dot)),
-            float(np.linalg.norm(point.x_ddot)),
-        )
+        speed = float(np.linalg.norm(point.x_dot))
+        acceleration = float(np.linalg.norm(point.x_ddot))
         if speed > REST_SPEED:
             raise TrajectoryError(
                 f"the {name} moves at {speed:.4g} m/s; it must rest (limit"
@@ -196,27 +180,18 @@ def check_rest(trajectory: Trajectory) -> None:
 
 
 def clear_times(certificate: Certificate, index: int) -> tuple[float, float]:
-    """Times before and after a planned crossing at which the plan is clear of the
-    locus.
-
-    Its |s| is SIDE there, or where it does not come so far before the neighbouring
-    crossings the largest.
+    """The times, s, before and after a planned crossing at which the plan is clear of
+    the locus: its |s| is SIDE there, or the largest that it has before the neighbouring
+    crossings.
     """
     time, s = certificate.profile.time, certificate.profile.s
     neighbours = [time[0], *certificate.crossing_times.tolist(), time[-1]]
     first, row, last = np.searchsorted(time, neighbours[index : index + 3]).tolist()
-    before, after = np.abs(s[first:row][::-1]), np.abs(s[row : last + 1])
-    return float(time[row - 1 - _clear_row(before)]), float(
-        time[row + _clear_row(after)]
-    )
+    before = _clear_row(np.abs(s[first:row][::-1]))
+    after = _clear_row(np.abs(s[row : last + 1]))
+    return float(time[row - 1 - before]), float(time[row + after])
 
 
-def _clear_row(clearance: np.ndarray) -> int:
-    clear = np.flatnonzero(clearance >= SIDE)
-    return (
-        int(clear[0])
-        if len(clear)
-        else int(np.argmax(clearance))
-        if len(clearance)
-        else 0
-    )
+def _clear_row(clearance: Array) -> int:
+    """The first row of |s| (m,) that is SIDE, or else the largest."""
+    return int(np.argmax(np.minimum(clearance, SIDE))) if len(clearance) else 0

@@ -1,12 +1,12 @@
-"""The motion that tells most of a robot's masses and friction: loops from rest to rest,
-on its own side of the locus.
+"""The exciting motion for the identification of masses and friction: loops from rest
+to rest, on one side of the locus.
 
 In each loop each coordinate is a finite Fourier series about the start that begins and
-ends at rest without acceleration. The loops are those of many random ones, then
-improved, whose torques together tell most: the largest determinant of the information
-on the numbers of ``model.regressor``, each counted by its own size. No two are alike,
-so that what is not modelled (the teeth of a gear, a belt) does not err the same way
-again and again.
+ends at rest without acceleration. Of many random loops those are taken, and then
+improved, whose torques together have the largest determinant of the information matrix
+of the unknowns of ``model.regressor``, each counted by its own size. No two loops are
+alike, so that what is not modelled (the teeth of a gear, a belt) does not err the same
+way each time.
 """
 
 from __future__ import annotations
@@ -35,26 +35,17 @@ TORQUE, SPEED = 0.4, 0.5  # shares of the limits that the motion takes at most
 LEAST_PERIOD, LONGEST_PERIOD = 1.0, 5.0  # s
 SAMPLES = 120  # of one period, by which candidates are judged
 KNOT = 0.01  # s between the knots of what is served, and less where a period is short
-RANDOM, IMPROVED, SHAKE = (
-    200,
-    200,
-    0.25,
-)  # candidates; improvements that are tried of all loops together; by how much at first
-WIDEST, HALVINGS = (
-    0.2,
-    9,
-    # m, of an amplitude that is tried, and how often it is halved towards the largest
-    # that
-    # is clear
-)
-NOISE, RATE = (
-    0.005,
-    25.0,
-)  # N m of a torque, beside which information counts, and 1/s, how often it counts
+RANDOM = 200  # candidates
+# improvements that are tried of all loops together, and by which share at first
+IMPROVED, SHAKE = 200, 0.25
+# m, the largest amplitude, and how often it is halved towards the largest that is clear
+WIDEST, HALVINGS = 0.2, 9
+# N m, the noise of a torque, and 1/s, how often a torque counts as measured anew
+NOISE, RATE = 0.005, 25.0
 # rad/s of a joint, below which friction has no sure sign and an instant does not count
 SLOW = 0.2
-# distance to Type 1 that the motion keeps: beyond, torques tell more of a wrong
-# geometry than of masses
+# distance to Type 1 that the motion keeps: nearer, the torques depend more on errors of
+# the geometry than on masses
 CLEAR_TYPE1 = 0.25
 ELSEWHERE = (
     "give another task.start (dextar demo: -p trajectory_server.task.start:=[X, Y])"
@@ -62,13 +53,13 @@ ELSEWHERE = (
 HEADROOM = 1.02  # of |s|, for what lies between samples
 
 
-class Shape(NamedTuple):
-    """One candidate.
+class ExcitingLoop(NamedTuple):
+    """A candidate loop.
 
     Attributes:
         coefficients: (2, HARMONICS, n) of cosines and sines, m.
         period: s.
-        information: (k, k) on the numbers, of one run of it.
+        information: matrix (k, k) of the unknowns, of one run of it.
     """
 
     coefficients: Array
@@ -84,12 +75,12 @@ def plan_excitation(
     progress: Progress = silent,
     seed: int = 0,
 ) -> Plan:
-    """The exciting motion, certified: rest, loops that take about ``duration``
-    together, rest.
+    """Plan the exciting motion: rest, loops that take about ``duration`` together,
+    rest.
 
     Args:
         robot: as far as it is known.
-        start: (2,) m, where it begins and ends.
+        start: where it begins and ends, (2,), m.
         duration: s.
         dwell: of the rests at both ends, s.
         seed: of the candidates.
@@ -106,27 +97,23 @@ def plan_excitation(
             f" its start {in_words(start)} has {abs(s):.3f}; {ELSEWHERE}"
         )
     search = _Search(robot, start, float(np.sign(s)))
-    generator, found = np.random.default_rng(seed), list[Shape]()
+    generator, found = np.random.default_rng(seed), list[ExcitingLoop]()
     for row in range(RANDOM):
         progress(0.5 * row / RANDOM, f"exciting loop {row + 1} of {RANDOM}")
-        raw = (
-            generator.normal(size=(2, HARMONICS, 2))
-            / np.arange(1, HARMONICS + 1)[None, :, None]
-        )
-        found += search.shape(raw)
+        orders = np.arange(1, HARMONICS + 1)[None, :, None]
+        found += search.loop(generator.normal(size=(2, HARMONICS, 2)) / orders)
     if not found:
         raise TrajectoryError(
             f"there is no room for an exciting motion about {in_words(start)};"
             f" {ELSEWHERE}"
         )
-    chosen, total = list[Shape](), np.eye(len(found[0].information))
-    least = max(
-        duration - 0.5 * LEAST_PERIOD, np.finfo(float).tiny
-    )  # one loop is the shortest motion
-    while sum(shape.period for shape in chosen) < least and len(chosen) < len(found):
+    chosen, total = list[ExcitingLoop](), np.eye(len(found[0].information))
+    # one loop is the shortest motion
+    least = max(duration - 0.5 * LEAST_PERIOD, np.finfo(float).tiny)
+    while sum(loop.period for loop in chosen) < least and len(chosen) < len(found):
         worths = [
-            -np.inf if any(shape is one for one in chosen) else _worth(total, shape)
-            for shape in found
+            -np.inf if any(loop is one for one in chosen) else _worth(total, loop)
+            for loop in found
         ]
         chosen.append(found[int(np.argmax(worths))])
         total = total + chosen[-1].information
@@ -136,35 +123,28 @@ def plan_excitation(
             f"improving the loops, {step + 1} of {IMPROVED}",
         )
         row = step % len(chosen)
-        old, size = (
-            chosen[row],
-            SHAKE
-            * (1.0 - step / IMPROVED)
-            * float(np.abs(chosen[row].coefficients).mean()),
-        )
-        for new in search.shape(
-            old.coefficients + size * generator.normal(size=old.coefficients.shape)
-        ):
-            if (
-                _worth(total - old.information, new)
-                > _worth(total - old.information, old)
-                and new.period <= 1.2 * old.period
-            ):
-                chosen[row], total = new, total - old.information + new.information
+        old = chosen[row]
+        size = SHAKE * (1.0 - step / IMPROVED) * float(np.abs(old.coefficients).mean())
+        shaken = generator.normal(size=old.coefficients.shape)
+        others = total - old.information
+        for new in search.loop(old.coefficients + size * shaken):
+            better = _worth(others, new) > _worth(others, old)
+            if better and new.period <= 1.2 * old.period:
+                chosen[row], total = new, others + new.information
     motion = join([hold(start, dwell), *map(search.motion, chosen), hold(start, dwell)])
     return Plan(motion, certify(robot, motion, max_residual=PLAN_RESIDUAL, crossings=0))
 
 
-def _worth(known: Array, shape: Shape) -> float:
-    """What a loop adds to what is known (k, k), in a second."""
-    grown = (
-        np.linalg.slogdet(known + shape.information)[1] - np.linalg.slogdet(known)[1]
-    )
-    return float(grown / shape.period)
+def _worth(known: Array, loop: ExcitingLoop) -> float:
+    """The growth of ln det of the information (k, k) that a loop brings, over its
+    period, 1/s.
+    """
+    grown = np.linalg.slogdet(known + loop.information)[1] - np.linalg.slogdet(known)[1]
+    return float(grown / loop.period)
 
 
 class _Search:
-    """What candidates for one robot and start are worth."""
+    """Candidate loops of one robot about one start."""
 
     def __init__(self, robot: RobotParameters, start: Array, sign: float) -> None:
         self._robot, self._start, self._sign = robot, start, sign
@@ -174,20 +154,18 @@ class _Search:
         self._phases = 2.0 * np.pi * np.arange(SAMPLES + 1) / SAMPLES
         self._harmonics = np.arange(1, HARMONICS + 1)
 
-    def shape(self, raw: Array) -> list[Shape]:
-        """The candidate with these coefficients, as wide and as fast as it may be; none
-        where none is clear.
+    def loop(self, raw: Array) -> list[ExcitingLoop]:
+        """The loop with these coefficients (2, HARMONICS, n), as wide, m, and as fast
+        as the limits allow; none where none is clear.
         """
         a, b = raw
         k = self._harmonics[:, None]
-        a = (
-            a - k**2 * (k**2 * a).sum(axis=0) / (k**4).sum()
-        )  # no acceleration at the ends
-        b = b - k * (k * b).sum(axis=0) / (k**2).sum()  # no speed
+        # without acceleration, and without speed, at the ends
+        a = a - k**2 * (k**2 * a).sum(axis=0) / (k**4).sum()
+        b = b - k * (k * b).sum(axis=0) / (k**2).sum()
         unit = np.stack([a, b])
-        unit = unit / float(
-            np.linalg.norm(self._table(unit, self._phases)[0], axis=1).max()
-        )
+        x, _, _ = self._table(unit, self._phases)
+        unit = unit / float(np.linalg.norm(x, axis=1).max())
         low, high = 0.0, WIDEST
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
@@ -205,26 +183,26 @@ class _Search:
         rows = (found.torque_slopes[sure] * (self._sizes / NOISE)).reshape(
             -1, len(self._sizes)
         )
-        return [Shape(wide, period, rows.T @ rows * (RATE * period / SAMPLES))]
+        return [ExcitingLoop(wide, period, rows.T @ rows * (RATE * period / SAMPLES))]
 
-    def motion(self, shape: Shape) -> Trajectory:
-        """It, from rest to rest."""
-        count = max(int(np.ceil(shape.period / KNOT)), SAMPLES)
-        rate = 2.0 * np.pi / shape.period
-        x, x_dot, x_ddot = self._table(
-            shape.coefficients, 2.0 * np.pi * np.arange(count + 1) / count
-        )
+    def motion(self, loop: ExcitingLoop) -> Trajectory:
+        """A loop as a trajectory, from rest to rest."""
+        count = max(int(np.ceil(loop.period / KNOT)), SAMPLES)
+        rate, phases = 2.0 * np.pi / loop.period, 2.0 * np.pi * np.arange(count + 1)
+        x, x_dot, x_ddot = self._table(loop.coefficients, phases / count)
         x_dot[[0, -1]] = x_ddot[[0, -1]] = 0.0  # up to rounding they are
         x[[0, -1]] = 0.0
         return quintic(
-            np.linspace(0.0, shape.period, count + 1),
+            np.linspace(0.0, loop.period, count + 1),
             self._start + x,
             rate * x_dot,
             rate**2 * x_ddot,
         )
 
     def _table(self, coefficients: Array, phases: Array) -> tuple[Array, Array, Array]:
-        """(from the start (m, n), first and second derivative by the phase)."""
+        """(places from the start (m, n), m, first and second derivative by
+        the phase).
+        """
         a, b = coefficients
         k = self._harmonics
         cosines, sines = np.cos(np.outer(phases, k)), np.sin(np.outer(phases, k))
@@ -235,9 +213,8 @@ class _Search:
         )
 
     def _clear(self, coefficients: Array) -> bool:
-        found = states_model(self._robot).sides(
-            self._start + self._table(coefficients, self._phases)[0]
-        )
+        x, _, _ = self._table(coefficients, self._phases)
+        found = states_model(self._robot).sides(self._start + x)
         s, type1 = found.s[:, 0] * self._sign, found.type1[:, 0]
         return bool(
             np.isfinite(s).all()
@@ -247,16 +224,13 @@ class _Search:
         )
 
     def _period(self, coefficients: Array) -> float:
-        """The shortest at which the motion keeps its shares of the limits, s; inf where
-        there is none.
+        """The shortest period, s, at which the motion keeps its shares of the limits;
+        inf where there is none.
         """
         period = LEAST_PERIOD
         for _ in range(6):
-            seen = measure(
-                self._robot,
-                self.motion(Shape(coefficients, period, np.zeros((0, 0)))),
-                period / SAMPLES,
-            )
+            motion = self.motion(ExcitingLoop(coefficients, period, np.zeros((0, 0))))
+            seen = measure(self._robot, motion, period / SAMPLES)
             factor = max(
                 float(np.sqrt(seen.peak_torque / (TORQUE * self._robot.max_torque))),
                 seen.peak_joint_speed / (SPEED * self._robot.max_joint_speed),

@@ -1,13 +1,11 @@
-"""The Type 2 locus of a robot: traced in closed form, in every working mode, and points
-of it.
-"""
+"""The Type 2 locus of a robot, traced where it has a closed form, and its points."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,23 +23,19 @@ from dextar_control.symbols.types import Array
 WORKING_MODES = FiveBar.working_modes
 TRACE = 1440  # samples of a full turn of the tracing angle
 MIN_CROSSING_TYPE1 = 0.2  # distance to Type 1 of a point that is offered for crossing
-THIN = 6  # trace samples that share one look at their surroundings
+THIN = 6  # trace samples of which one is looked at for its surroundings
 ON_LOCUS = 1e-3  # m, a point this near is taken as the locus point beside it
-# |s| at start and goal: there the direct model holds the estimate again (hold_zone +
+# |s| at start and goal, where the direct model gives the estimate again (hold_zone +
 # hold_width)
 MIN_END_S = 0.4
-REST_S = 0.5  # |s| of a rest that the planner offers itself
-REST_REACH = (
-    1.0  # of the mean distal length: how far from the locus such a rest is looked for
-)
+REST_S = 0.5  # |s| of a rest that the planner chooses
+REST_REACH = 1.0  # of the mechanism's length: how far such a rest is from the locus
 DIRECTIONS, STEPS = 24, 24  # of that search, in the plane
-PROJECTIONS, POLISHES = (
-    60,
-    4,
-)  # steps to the nearest place of a locus that is not traced, and to zero s
-LONGEST_STEP = 0.2  # of the mechanism's length, of one
-LOCUS_S = 1e-12  # |s| of such a place
-TRIES = 1000  # places near which the locus is looked for, to spread some over it
+# steps to the nearest point of a locus that is not traced, and then to zero s
+PROJECTIONS, POLISHES = 60, 4
+LONGEST_STEP = 0.2  # of the mechanism's length, of one such step
+LOCUS_S = 1e-12  # |s| of such a point
+TRIES = 1000  # places near which the locus is looked for, to spread points over it
 
 Mode = tuple[int, ...]
 
@@ -51,14 +45,12 @@ class LocusPoint(NamedTuple):
 
     x: Array  # (n,) m
     working_mode: Mode
-    family: Any  # member of the mechanism's families; None where there is one
+    family: Family | None  # None where the mechanism has one
     t_s: Array  # (n,) unit kernel of A_r
     gradient: Array  # (n,) of s, 1/m: a crossing towards s > 0 moves along it
     type1: float  # distance to Type 1
     branch: int  # +1 or -1: which of the family's two
-    angle: (
-        float  # along the branch, rad; 0 where the mechanism does not trace its locus
-    )
+    angle: float  # along the branch, rad; 0 where the locus is not traced
 
 
 class Arc(NamedTuple):
@@ -75,12 +67,18 @@ class Arc(NamedTuple):
 def rests_around(
     model: PlanningModel, points: Array, clear: float, least_s: float
 ) -> list[Array]:
-    """Places around locus points (m, n), straight ahead of each: per point, (k, n + 2)
-    x, s and distance to Type 1.
+    """Places for a rest straight ahead of locus points: of each point, (k, n + 2) x,
+    m, s and distance to Type 1.
 
-    The straight line from the point to each keeps the sign of s and the distance
-    ``clear`` from Type 1; along each of the directions the farthest place within
-    REST_REACH and the first one with |s| >= least_s count.
+    The straight line from the point to a place keeps the sign of s and the distance
+    ``clear`` from Type 1; in each direction the farthest place within REST_REACH counts
+    and the nearest one with |s| >= least_s.
+
+    Args:
+        model: of the robot.
+        points: of the locus, (m, n), m.
+        clear: least distance to Type 1.
+        least_s: least |s|.
     """
     away = REST_REACH * model.length * np.arange(1, STEPS + 1) / STEPS
     places = points[:, None, None] + away[:, None] * _directions(model.n)[:, None]
@@ -88,12 +86,9 @@ def rests_around(
     s, type1 = (values.reshape(places.shape[:3]) for values in (found.s, found.type1))
     blocks = found.s_blocks.reshape(*places.shape[:3], -1)
     with np.errstate(invalid="ignore"):
-        side = s[
-            :, :, :1, None
-        ]  # of each line, from its first step on, the same of all blocks
-        seen = np.logical_and.accumulate(
-            (blocks * side > 0.0).all(axis=3) & (type1 >= clear), axis=2
-        ) & (np.abs(s) >= least_s)
+        side = s[:, :, :1, None]  # of each line at its first step
+        kept = (blocks * side > 0.0).all(axis=3) & (type1 >= clear)
+        seen = np.logical_and.accumulate(kept, axis=2) & (np.abs(s) >= least_s)
     ends = np.zeros_like(seen)
     rows, directions = np.nonzero(seen.any(axis=2))
     lines = seen[rows, directions]
@@ -105,8 +100,8 @@ def rests_around(
 
 @lru_cache
 def _directions(n: int) -> Array:
-    """Unit vectors (k, n) all around: evenly in the plane, at random but always the
-    same in more dimensions.
+    """Unit vectors (k, n), 1, in all directions: evenly in the plane, at random but
+    always the same in more dimensions.
     """
     if n == 2:
         turns = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
@@ -118,15 +113,11 @@ def _directions(n: int) -> Array:
 def are_crossable(
     model: PlanningModel, points: Array, clear: float
 ) -> NDArray[np.bool_]:
-    """Whether a rest lies straight ahead on both sides of each locus point (m, n)."""
-    rests = rests_around(model, points, clear, REST_S)
-    return np.array(
-        [
-            bool((places[:, -2] > 0.0).any() and (places[:, -2] < 0.0).any())
-            for places in rests
-        ],
-        dtype=bool,
-    )
+    """Whether there is a place for a rest straight ahead on both sides of each locus
+    point (m, n), m.
+    """
+    sides = [rests[:, -2] for rests in rests_around(model, points, clear, REST_S)]
+    return np.array([bool((s > 0.0).any() and (s < 0.0).any()) for s in sides], bool)
 
 
 @lru_cache(maxsize=64)
@@ -141,26 +132,24 @@ def trace_locus(
 
     Args:
         robot: whose working mode does not matter.
-        working_modes: the ones wanted.
+        working_modes: of the arcs.
         type1: least distance to Type 1.
-        crossable: only where a rest lies straight ahead on both sides, that far from
-            Type 1.
+        crossable: only points with a place for a rest straight ahead on both sides.
     """
     model = planning_model(robot)
     mechanism = model.mechanism
     assert isinstance(mechanism, FiveBarLocus)
     angles = np.linspace(-np.pi, np.pi, TRACE + 1)
     arcs = []
-    for family in mechanism.families:
+    for family in Family:
         for branch in (1, -1):
             traced = model.locus([family.value], [branch], angles[:, None])
             modes: list[Mode] = [
                 tuple(mode) for mode in mechanism.modes(traced.type1_sines).tolist()
             ]
             with np.errstate(invalid="ignore"):
-                fit = (np.abs(traced.type1_sines).min(axis=1) >= type1) & (
-                    traced.closing[:, 0] >= 0.0
-                )
+                fit = np.abs(traced.type1_sines).min(axis=1) >= type1
+                fit &= traced.closing[:, 0] >= 0.0
             fit &= np.array([mode in working_modes for mode in modes])
             if crossable:
                 fit &= _passable(robot, traced.x, modes, fit, type1)
@@ -183,20 +172,20 @@ def _passable(
     fit: NDArray[np.bool_],
     type1: float,
 ) -> NDArray[np.bool_]:
-    """Which traced places (m, n) lie between two thinned ones that can be crossed."""
+    """Which traced points (m, n), m, lie between two thinned ones that can be
+    crossed.
+    """
     seen = np.zeros(len(x), dtype=bool)
     thinned = np.arange(0, len(x), THIN)
     for mode in set(modes):
         rows = [k for k in thinned if fit[k] and modes[k] == mode]
         if rows:
-            seen[rows] = are_crossable(
-                planning_model(robot.replace(working_mode=mode)), x[rows], type1
-            )
+            model = planning_model(robot.replace(working_mode=mode))
+            seen[rows] = are_crossable(model, x[rows], type1)
     every = np.arange(len(x))
-    return (
-        seen[every // THIN * THIN]
-        & seen[np.minimum(-(-every // THIN) * THIN, thinned[-1])]
-    )
+    before = every // THIN * THIN
+    after = np.minimum(-(-every // THIN) * THIN, thinned[-1])
+    return np.asarray(seen[before] & seen[after])
 
 
 def _point_on_arc(robot: RobotParameters, arc: Arc, length: float) -> LocusPoint:
@@ -208,20 +197,14 @@ def _point_at(robot: RobotParameters, arc: Arc, angle: float) -> LocusPoint:
     """The point of an arc at a tracing angle, rad."""
     model = planning_model(robot.replace(working_mode=arc.working_mode))
     x = _position(model, arc, angle)
-    found = model.place(x)
-    return LocusPoint(
-        x,
-        arc.working_mode,
-        arc.family,
-        found.t_s,
-        found.gradient,
-        float(found.type1[0]),
-        arc.branch,
-        angle,
-    )
+    at = model.place(x)
+    own = arc.working_mode, arc.family
+    type1 = float(at.type1[0])
+    return LocusPoint(x, *own, at.t_s, at.gradient, type1, arc.branch, angle)
 
 
 def _position(model: PlanningModel, arc: Arc, angle: float) -> Array:
+    """The point (n,), m, of an arc at a tracing angle, rad."""
     x: Array = model.locus([arc.family.value], [arc.branch], np.array([[angle]])).x[0]
     return x
 
@@ -229,22 +212,20 @@ def _position(model: PlanningModel, arc: Arc, angle: float) -> Array:
 def nearest_point(robot: AnyRobot, x: Array, type1: float | None = None) -> LocusPoint:
     """The point of the locus nearest to x (n,), m, in the robot's working mode.
 
-    Where the mechanism does not trace its locus it is found down the gradient of s,
-    which leads to the nearest one from near it.
+    Where the locus is not traced the point is found along the gradient of s, which
+    leads to the nearest one from near it.
 
     Raises:
-        GeometryError: the working mode has no locus that far from Type 1, or none was
-            found from there.
+        GeometryError: the working mode has no locus that is ``type1`` from Type 1, or
+            no point was found.
     """
-    from scipy.optimize import (
-        minimize_scalar,
-    )  # here: it takes longer to load than all else
+    # here: it takes longer to load than all else
+    from scipy.optimize import minimize_scalar
 
-    x = np.asarray(x, dtype=np.float64)
-    if x.shape != (planning_model(robot).n,) or not np.isfinite(x).all():
+    x, model = np.asarray(x, dtype=np.float64), planning_model(robot)
+    if x.shape != (model.n,) or not np.isfinite(x).all():
         raise GeometryError(
-            f"place {np.round(x, 6).tolist()}; it must be {planning_model(robot).n}"
-            " finite numbers, m"
+            f"place {np.round(x, 6).tolist()}; it must be {model.n} finite numbers, m"
         )
     limit = robot.min_type1_distance if type1 is None else type1
     if not isinstance(robot, RobotParameters):
@@ -257,10 +238,7 @@ def nearest_point(robot: AnyRobot, x: Array, type1: float | None = None) -> Locu
         )
     arc = min(arcs, key=lambda arc: float(np.linalg.norm(arc.x - x, axis=1).min()))
     row = int(np.argmin(np.linalg.norm(arc.x - x, axis=1)))
-    model, bounds = (
-        planning_model(robot),
-        (arc.angles[max(row - 1, 0)], arc.angles[min(row + 1, len(arc.angles) - 1)]),
-    )
+    bounds = arc.angles[max(row - 1, 0)], arc.angles[min(row + 1, len(arc.angles) - 1)]
 
     def gap(angle: float) -> float:
         return float(np.linalg.norm(_position(model, arc, angle) - x))
@@ -272,24 +250,19 @@ def nearest_point(robot: AnyRobot, x: Array, type1: float | None = None) -> Locu
 
 
 def _nearest_by_gradient(robot: Robot, x: Array, type1: float) -> LocusPoint:
-    """Projections on the locus' tangent, from the given place first, then from where
-    they led, until s is zero to rounding.
+    """The point near x (n,), m, by projections on the tangent of the locus, until s is
+    zero to rounding.
     """
     model, place = planning_model(robot), x
     longest = LONGEST_STEP * model.length
     found = model.place(place)
     for row in range(PROJECTIONS + POLISHES):
         beside = x - place if row < PROJECTIONS else np.zeros(model.n)
-        slope = float(found.gradient @ found.gradient)
-        step = (
-            beside
-            - (float(found.s[0]) + float(found.gradient @ beside))
-            / slope
-            * found.gradient
-        )
-        place = place + step * min(
-            1.0, longest / max(float(np.linalg.norm(step)), 1e-300)
-        )
+        gradient = found.gradient
+        missing = float(found.s[0]) + float(gradient @ beside)
+        step = beside - missing / float(gradient @ gradient) * gradient
+        length = max(float(np.linalg.norm(step)), 1e-300)
+        place = place + step * min(1.0, longest / length)
         found = model.place(place)
     if not abs(found.s[0]) <= LOCUS_S:
         raise GeometryError(
@@ -301,16 +274,9 @@ def _nearest_by_gradient(robot: Robot, x: Array, type1: float) -> LocusPoint:
             f"the Type 2 locus near {in_words(x)}, in {in_words(place)}, is"
             f" {float(found.type1[0]):.3f} from Type 1; the limit is {type1}"
         )
-    return LocusPoint(
-        place,
-        robot.working_mode,
-        None,
-        found.t_s,
-        found.gradient,
-        float(found.type1[0]),
-        1,
-        0.0,
-    )
+    clear = float(found.type1[0])
+    mode = robot.working_mode
+    return LocusPoint(place, mode, None, found.t_s, found.gradient, clear, 1, 0.0)
 
 
 def spread_places(
@@ -322,23 +288,20 @@ def spread_places(
     type1: float = MIN_CROSSING_TYPE1,
     seed: int = 0,
 ) -> list[LocusPoint]:
-    """Places of the locus that can be crossed, far from each other: for any mechanism
-    what ``sample_locus`` is for the five-bar.
+    """Points of the locus that can be crossed, far from each other, of any mechanism.
 
     Args:
-        low, high: (n,) corners of the box in which they lie, m.
-        count: of places.
+        robot: of any mechanism, in its working mode.
+        low, high: corners of the box in which they lie, (n,), m.
+        count: of points.
         type1: least distance to Type 1.
         seed: of the places near which the locus is looked for.
 
     Raises:
         GeometryError: there are not so many.
     """
-    low, high, model = (
-        np.asarray(low, dtype=np.float64),
-        np.asarray(high, dtype=np.float64),
-        planning_model(robot),
-    )
+    low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
+    model = planning_model(robot)
     found: list[LocusPoint] = []
     for near in np.random.default_rng(seed).uniform(low, high, (TRIES, model.n)):
         try:
@@ -353,10 +316,8 @@ def spread_places(
         row = int(np.argmax(distance))
         if are_crossable(model, found[row].x[None], type1)[0]:
             chosen.append(found[row])
-            distance = np.minimum(
-                distance,
-                [float(np.linalg.norm(point.x - found[row].x)) for point in found],
-            )
+            gaps = [float(np.linalg.norm(point.x - found[row].x)) for point in found]
+            distance = np.minimum(distance, gaps)
         distance[row] = 0.0
     if len(chosen) < count:
         raise GeometryError(
@@ -390,7 +351,8 @@ def locus_point(robot: AnyRobot, x: Array) -> LocusPoint:
 
 
 def place_of(robot: AnyRobot, point: LocusPoint | Array) -> LocusPoint:
-    """A locus point, or the one at a position (n,), m, in the robot's working mode.
+    """A locus point as it is, or that at a position (n,), m, in the robot's working
+    mode.
 
     Raises:
         GeometryError: the position is off the locus, or the point belongs to another
@@ -408,8 +370,8 @@ def place_of(robot: AnyRobot, point: LocusPoint | Array) -> LocusPoint:
 
 
 def beside(robot: AnyRobot, point: LocusPoint, shift: float) -> LocusPoint | None:
-    """The locus point at a signed distance along its arc, m; None where the arc ends,
-    or the locus is not traced.
+    """The locus point at a signed distance, m, along the arc of another; None where the
+    arc ends or the locus is not traced.
     """
     if not isinstance(robot, RobotParameters):
         return None
@@ -423,8 +385,8 @@ def beside(robot: AnyRobot, point: LocusPoint, shift: float) -> LocusPoint | Non
 
 
 def _shares(lengths: Array, count: int, least: Array) -> Array:
-    """``count`` split in proportion to lengths, each part at least ``least``, by
-    largest remainders.
+    """Shares (m,) of ``count`` in proportion to lengths (m,), m, each at least that of
+    ``least`` (m,), by largest remainders.
     """
     share = np.maximum(least, 0)
     while share.sum() < count:
@@ -444,14 +406,15 @@ def sample_locus(
     """Points spread evenly over the locus where it can be crossed, in several working
     modes.
 
-    Points are spread by arc length within each family of each working mode, with a
-    random phase; each working mode that reaches the locus has at least one point.
+    They are spread by arc length within each family of each working mode, with a random
+    phase; each working mode that reaches the locus has at least one point.
 
     Args:
+        robot: whose working mode does not matter.
         count: of points.
         seed: of the phases.
         folded: least number of folded points.
-        working_modes: the ones to use.
+        working_modes: of the points.
 
     Raises:
         ParameterError: count is smaller than what folded and the working modes ask for.
@@ -476,9 +439,8 @@ def sample_locus(
         )
     least = np.zeros(len(keys), dtype=int)
     if folded > 0:
-        least[is_folded] = _shares(
-            lengths[is_folded], folded, np.zeros(int(is_folded.sum()), dtype=int)
-        )
+        none = np.zeros(int(is_folded.sum()), dtype=int)
+        least[is_folded] = _shares(lengths[is_folded], folded, none)
     for mode in {key[1] for key in keys}:
         rows = [row for row, key in enumerate(keys) if key[1] == mode]
         if least[rows].sum() == 0:
@@ -497,9 +459,6 @@ def sample_locus(
         for k in range(share):
             place = (k + phase) / share * ends[-1]
             row = min(int(np.searchsorted(ends, place)), len(arcs) - 1)
-            points.append(
-                _point_on_arc(
-                    robot, arcs[row], place - (ends[row] - arcs[row].length[-1])
-                )
-            )
+            begin = ends[row] - arcs[row].length[-1]
+            points.append(_point_on_arc(robot, arcs[row], place - begin))
     return points

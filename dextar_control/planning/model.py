@@ -5,9 +5,9 @@ with its numbers.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import casadi as ca
 
@@ -26,8 +26,8 @@ AnyStates = TypeVar("AnyStates", bound="StatesModel")
 
 
 class StatesModel(Model):
-    """A robot's model with what certificates and pictures ask of many states; not for
-    two threads at once.
+    """A robot's model with functions of many states, for certificates and pictures; not
+    for two threads at once.
 
     Attributes:
         sides: of places x (m, n) -> q_a, s, s_blocks, type1 (m, 1 or k); nan out of
@@ -38,24 +38,21 @@ class StatesModel(Model):
         numbers: the parameters by their dotted names.
     """
 
-    def __init__(self, mechanism: Mechanism, values: Mapping[str, Any]) -> None:
+    def __init__(self, mechanism: Mechanism, values: Mapping[str, object]) -> None:
         super().__init__(mechanism, values)
         library, self.numbers = states_library(mechanism), mechanism.named(self.p)
         self.sides, self.instants = (
-            self._with_numbers(library.batch(name)) for name in ("sides", "instants")
+            self._bound(library.batch(name)) for name in ("sides", "instants")
         )
-        self.side = self._with_numbers(library.fast("sides"))
-
-    def _with_numbers(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        return lambda *arguments: function(self.p, *arguments)
+        self.side = self._bound(library.fast("sides"))
 
     def s(self, x: Array) -> float:
-        """Of a platform position (n,) in the working mode; nan out of reach."""
+        """s of a platform position x (n,), m, in the working mode; nan out of reach."""
         return float(self.side(x).s[0])
 
 
 class PlanningModel(StatesModel):
-    """The same with the locus and the functions of the search.
+    """A ``StatesModel`` with the locus and the functions of the search.
 
     Attributes:
         locus: of (family, branch, tracing angles (m, 1)) -> x, type1_sines, closing;
@@ -63,18 +60,17 @@ class PlanningModel(StatesModel):
         half, crossing, leg, crossing_cost, leg_cost: see ``candidate``.
         layouts: of the records that the last four take.
         length: by which distances are measured, m.
-        workspace: corners (n,) of a box that holds every place it reaches; of the
-            five-bar.
+        workspace: corners (n,), m, of a box that holds every place a five-bar reaches.
     """
 
-    def __init__(self, mechanism: Mechanism, values: Mapping[str, Any]) -> None:
+    def __init__(self, mechanism: Mechanism, values: Mapping[str, object]) -> None:
         super().__init__(mechanism, values)
         library = planning_library(mechanism)
         self.half = library.fast("half")
         if "locus" in library.symbolic:
-            self.locus = self._with_numbers(library.batch("locus"))
+            self.locus = self._bound(library.batch("locus"))
         self.crossing, self.leg, self.crossing_cost, self.leg_cost = (
-            self._with_numbers(library.fast(name))
+            self._bound(library.fast(name))
             for name in ("crossing", "leg", "crossing_cost", "leg_cost")
         )
         self.layouts = layouts(self.n)
@@ -84,12 +80,12 @@ class PlanningModel(StatesModel):
 
 
 def states_model(robot: AnyRobot) -> StatesModel:
-    """A robot's; one for each thread, since its functions have places of their own."""
+    """The ``StatesModel`` of a robot, one for each thread."""
     return _own(StatesModel, robot)
 
 
 def planning_model(robot: AnyRobot) -> PlanningModel:
-    """A robot's; one for each thread, since its functions have places of their own."""
+    """The ``PlanningModel`` of a robot, one for each thread."""
     return _own(PlanningModel, robot)
 
 
@@ -101,13 +97,13 @@ def _own(kind: type[AnyStates], robot: AnyRobot) -> AnyStates:
 
 
 def states_library(mechanism: Mechanism) -> Library:
-    """What ``StatesModel`` calls, compiled where that can be done, once."""
+    """The functions of ``StatesModel``, made once, compiled where that can be done."""
     with _building:
         return _states_library(mechanism)
 
 
 def planning_library(mechanism: Mechanism) -> Library:
-    """What ``PlanningModel`` calls beside that, likewise."""
+    """The other functions of ``PlanningModel``, likewise."""
     with _building:
         return _planning_library(mechanism)
 
@@ -122,10 +118,8 @@ def _states_library(mechanism: Mechanism) -> Library:
         e.x_dot,
         e.x_ddot,
     )
-    place, side = (
-        {"p": e.p, "x": e.x},
-        {"q_a": at.q_a, "s": at.s, "s_blocks": at.s_blocks, "type1": at.type1},
-    )
+    place = {"p": e.p, "x": e.x}
+    side = {"q_a": at.q_a, "s": at.s, "s_blocks": at.s_blocks, "type1": at.type1}
     return Library(
         [
             named("sides", place, side),

@@ -1,11 +1,11 @@
-"""Plans a way through the Type 2 locus, rest to rest, with the criterion imposed at the
+"""Plans through the Type 2 locus, rest to rest, with the criterion imposed at the
 crossing.
 
-Position, velocity and acceleration at the crossing are imposed (``candidate``): the
-point lies on the locus and the acceleration follows from t_s.w_d = 0. What that leaves
-open (where on the locus, how fast, the free acceleration, the jerk, when, and for
-``plan_through`` both ends) is chosen by minimising the peak torque and the time near
-the locus (``search``). A plan is certified before it is served.
+The crossing lies on the locus, and its acceleration follows from t_s.w_d = 0
+(``candidate``). What that leaves open (where on the locus, how fast, the free
+acceleration, the jerk, when, and for ``plan_through`` both ends) is chosen by
+minimising the peak torque and the time near the locus (``search``). Every plan is
+certified.
 """
 
 from __future__ import annotations
@@ -26,7 +26,12 @@ from dextar_control.planning.checks import certify
 from dextar_control.planning.locus import MIN_END_S, LocusPoint, place_of
 from dextar_control.planning.model import planning_model
 from dextar_control.planning.regular import MIN_APPROACH_S, plan_approach
-from dextar_control.planning.search import LOCUS_TIME, Criterion, Progress, silent
+from dextar_control.planning.search import (
+    LOCUS_TIME,
+    CrossingCriterion,
+    Progress,
+    silent,
+)
 from dextar_control.planning.through import plan_through
 from dextar_control.planning.trajectory import Trajectory, hold, join
 from dextar_control.symbols.types import Array
@@ -35,7 +40,7 @@ __all__ = [
     "MIN_APPROACH_S",
     "MIN_END_S",
     "PLAN_RESIDUAL",
-    "Criterion",
+    "CrossingCriterion",
     "Plan",
     "plan_approach",
     "plan_crossing",
@@ -60,14 +65,17 @@ def plan_return_trip(
     repeat: int = 1,
     *,
     point: LocusPoint | Array | None = None,
-    criterion: Criterion = Criterion.RECIPROCAL,
+    criterion: CrossingCriterion = CrossingCriterion.RECIPROCAL,
     locus_time: float = LOCUS_TIME,
     progress: Progress = silent,
 ) -> Plan:
-    """start -> goal -> start, ``repeat`` times, with rests before, between and after.
+    """Plan start -> goal -> start, ``repeat`` times, with rests before, between and
+    after.
 
     Args:
-        duration: of one way, s.
+        robot: of any mechanism.
+        start, goal: (n,), m, on two sides of the locus.
+        duration: of one way, s; chosen when None.
         dwell: of each rest, s.
         repeat: return trips.
         point, criterion, locus_time, progress: as ``plan_crossing``.
@@ -96,18 +104,21 @@ def plan_return_trip_through(
     dwell: float,
     repeat: int = 1,
     *,
-    criterion: Criterion = Criterion.RECIPROCAL,
+    criterion: CrossingCriterion = CrossingCriterion.RECIPROCAL,
     locus_time: float = LOCUS_TIME,
     progress: Progress = silent,
 ) -> Plan:
-    """Out through a given point of the locus and back, ``repeat`` times, with rests
-    before, between and after.
+    """Plan out through a given point of the locus and back, ``repeat`` times, with
+    rests before, between and after.
 
     Args:
+        robot: in the working mode of the point.
+        point: a locus point, or its position (n,), m.
+        direction: the sign of s after the crossing, or the direction (n,) there.
         duration: of one way, s; chosen when None.
         dwell: of each rest, s.
         repeat: return trips.
-        point, direction, criterion, locus_time, progress: as ``plan_through``.
+        criterion, locus_time, progress: as ``plan_through``.
 
     Raises:
         GeometryError, TrajectoryError: as ``plan_through``.
@@ -149,24 +160,21 @@ def _there_and_back(
     repeat: int,
     way: Callable[[Array, Array], Plan],
 ) -> Plan:
-    """A way out and back: by its time reversal where that may be, by a way of its own
-    otherwise.
+    """The plan out and back: by the time reversal of the way out where that is allowed,
+    by a way of its own otherwise.
     """
     start, goal = out.at(0.0).x, out.at(out.duration).x
 
     def trip(back: Trajectory) -> Plan:
-        whole = join(
-            [hold(start, dwell)]
-            + [out, hold(goal, dwell), back, hold(start, dwell)] * repeat
-        )
+        lap = [out, hold(goal, dwell), back, hold(start, dwell)]
+        whole = join([hold(start, dwell)] + lap * repeat)
+        residual, crossings = PLAN_RESIDUAL, 2 * repeat
         return Plan(
-            whole,
-            certify(robot, whole, max_residual=PLAN_RESIDUAL, crossings=2 * repeat),
+            whole, certify(robot, whole, max_residual=residual, crossings=crossings)
         )
 
     if scalable(planning_model(robot), out):
-        with suppress(
-            TrajectoryError
-        ):  # the motors' friction may ask for more on the way back
+        # the motors' friction may ask for more torque on the way back
+        with suppress(TrajectoryError):
             return trip(out.reversed())
     return trip(way(goal, start).trajectory)

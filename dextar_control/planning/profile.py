@@ -1,8 +1,8 @@
-"""A trajectory sampled over time, with what the robot needs for it."""
+"""A trajectory sampled over time, with the torques that it needs."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,17 +14,15 @@ from dextar_control.symbols.types import Array
 
 # |s| below which the multipliers are taken from their neighbourhood: 0/0 on the locus
 LIMIT_ZONE = 0.01
-LIMIT_NODES = np.array(
-    [1.0, 2.0 / 3.0, 1.0 / 3.0]
-)  # of that zone, where they are taken on either side of a crossing
-# s, a crossing this near to a knot is there: where it was imposed, and found up to
-# rounding
+# of that zone, where they are taken on either side of a crossing
+LIMIT_NODES = np.array([1.0, 2.0 / 3.0, 1.0 / 3.0])
+# s; a crossing this near to a knot is at the knot, where it was imposed
 AT_KNOT = 1e-12
 ON_CROSSING = 1e-9  # s, closer to a crossing than this counts as on it
 
 
 class Profile(NamedTuple):
-    """A trajectory at m times; nan where a leg does not reach."""
+    """A trajectory at m times, with nan where a leg does not reach."""
 
     time: Array  # (m,) s
     x: Array  # (m, n) m
@@ -42,7 +40,7 @@ class Profile(NamedTuple):
 
 
 def sample_times(trajectory: Trajectory, period: float) -> Array:
-    """Times of at most ``period`` apart, with every knot among them."""
+    """Times (m,), s, at most ``period`` apart, with every knot among them."""
     count = int(np.ceil(trajectory.duration / period - 1e-9)) + 1
     grid = np.linspace(0.0, trajectory.duration, max(count, 2))
     knots = trajectory.knots
@@ -50,11 +48,12 @@ def sample_times(trajectory: Trajectory, period: float) -> Array:
         return knots
     merged = np.union1d(grid, knots)
     keep = np.concatenate([[True], np.diff(merged) > 1e-9])
-    return merged[keep]
+    spaced: Array = merged[keep]
+    return spaced
 
 
 def sample_profile(robot: AnyRobot, trajectory: Trajectory, times: Array) -> Profile:
-    """What the robot needs along a trajectory at times (m,), s.
+    """The profile of a trajectory at times (m,), s.
 
     Within LIMIT_ZONE of the locus the multipliers are continued from either side of the
     crossing by a parabola: towards the value they tend to when the criterion holds.
@@ -65,9 +64,8 @@ def sample_profile(robot: AnyRobot, trajectory: Trajectory, times: Array) -> Pro
     multipliers = found.multipliers
     for s, (rows, _) in zip(found.s_blocks.T, model.blocks, strict=True):
         inside = ~(np.abs(s) >= LIMIT_ZONE)
-        edges = np.flatnonzero(
-            np.diff(np.concatenate([[False], inside, [False]]).astype(int))
-        )
+        padded = np.concatenate([[False], inside, [False]]).astype(int)
+        edges = np.flatnonzero(np.diff(padded))
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
             first, last = max(start - 1, 0), min(stop, len(times) - 1)
             if s[first] * s[last] < 0.0:
@@ -75,10 +73,8 @@ def sample_profile(robot: AnyRobot, trajectory: Trajectory, times: Array) -> Pro
                     model, trajectory, times, s, (first, last), times[start:stop]
                 )
                 multipliers[start:stop, rows] = near[:, rows]
-    torque = (
-        found.joint_torque
-        - (found.B.transpose(0, 2, 1) @ multipliers[:, :, None])[:, :, 0]
-    )  # Eq. 4: w_b - B^T lambda
+    internal = (found.B.transpose(0, 2, 1) @ multipliers[:, :, None])[:, :, 0]
+    torque = found.joint_torque - internal  # Eq. 4: w_b - B^T lambda, and friction
     return Profile(
         time=times,
         x=x,
@@ -100,11 +96,11 @@ def _continued(
     trajectory: Trajectory,
     times: Array,
     s: Array,
-    around: tuple[Any, Any],
+    around: tuple[int, int],
     inside: Array,
 ) -> Array:
-    """The multipliers (k, n) at times (k,) between the two rows ``around`` a crossing,
-    from its neighbourhood.
+    """The multipliers (k, n) at the times ``inside`` (k,), s, between the two rows
+    ``around`` a crossing, continued from its neighbourhood.
     """
     first, last = around
     turn = first + int(np.argmax(s[first:last] * s[first + 1 : last + 1] <= 0.0))
@@ -120,17 +116,22 @@ def _continued(
         sides.append(
             np.stack([np.polyval(parabola, ahead) for parabola in parabolas.T], axis=1)
         )
-    weight = np.select([ahead < -ON_CROSSING, ahead > ON_CROSSING], [0.0, 1.0], 0.5)[
-        :, None
-    ]
-    return np.asarray((1.0 - weight) * sides[0] + weight * sides[1])
+    weight = np.select([ahead < -ON_CROSSING, ahead > ON_CROSSING], [0.0, 1.0], 0.5)
+    return np.asarray((1.0 - weight[:, None]) * sides[0] + weight[:, None] * sides[1])
 
 
 def find_crossings(
     robot: AnyRobot, trajectory: Trajectory, times: Array, s: Array, block: int
 ) -> list[float]:
-    """Instants, s, where s (m,) of a block changes sign, by bisection between samples
-    to machine precision.
+    """The instants, s, at which a block's s changes sign, by bisection to machine
+    precision.
+
+    Args:
+        robot: of the trajectory.
+        trajectory: in which they are looked for.
+        times: of the samples, (m,), s.
+        s: of the block at the samples, (m,), 1.
+        block: of A_r.
     """
     model = states_model(robot)
 

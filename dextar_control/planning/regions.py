@@ -1,5 +1,5 @@
-"""Which places one working mode joins without a singularity, on a grid, and the ways
-between them.
+"""Regions that one working mode joins without a singularity, on a grid, and ways in
+and between them.
 
 The Type 2 locus and a margin about Type 1 cut the workspace of a working mode into
 regions of one sign of s. A way within a region is regular motion; a way from one to
@@ -21,9 +21,9 @@ from dextar_control.symbols.types import Array
 
 SPACING = 3e-3  # m, of the grid
 MARGIN = 1.2  # times the robot's least distance to Type 1 that a way keeps
-SHY_TYPE1 = 0.1  # distance to Type 1 at which a way counts double
-SHY_S = 0.15  # |s| within which a way counts up to SHY_COST times more
-SHY_COST = 3.0
+COSTLY_TYPE1 = 0.1  # distance to Type 1 at which a way costs twice its length
+COSTLY_S = 0.15  # |s| within which it costs up to S_COST times its length more
+S_COST = 3.0
 ENTRY = 4  # cells within which a place finds its cell
 EVERYWHERE = np.ones((3, 3), dtype=int)
 
@@ -34,11 +34,9 @@ class Regions(NamedTuple):
     origin: Array  # (2,) m, of cell (0, 0)
     shape: tuple[int, int]
     s: Array  # (nx, ny)
-    region: NDArray[
-        np.int64
-        # (nx, ny) its number from 1; 0 is too near to Type 1, out of a joint's range or
-        # unreachable
-    ]
+    # (nx, ny) number of the region from 1; 0 where a cell is too near to Type 1, out of
+    # a joint's range or unreachable
+    region: NDArray[np.int64]
     edges: tuple[NDArray[np.int64], NDArray[np.int64], Array]  # from, to, cost
 
 
@@ -48,9 +46,8 @@ def make_regions(robot: RobotParameters) -> Regions:
     from scipy.ndimage import label  # here: it takes longer to load than all else
 
     low, high = planning_model(robot).workspace
-    nx, ny = (
-        np.ceil(np.maximum(high - low, SPACING) / SPACING).astype(int) + 1
-    ).tolist()
+    extent = np.maximum(high - low, SPACING)
+    nx, ny = (np.ceil(extent / SPACING).astype(int) + 1).tolist()
     grid = np.indices((nx, ny)).reshape(2, -1).T
     found = planning_model(robot).sides(low + SPACING * grid)
     beyond = beyond_range(robot, found.q_a).max(axis=1)
@@ -61,7 +58,9 @@ def make_regions(robot: RobotParameters) -> Regions:
         clear = (type1 >= MARGIN * robot.min_type1_distance) & (beyond <= 0.0)
         first, count = label(clear & (s > 0.0), EVERYWHERE)
         second, _ = label(clear & (s <= 0.0), EVERYWHERE)
-        shy = 1.0 + (SHY_TYPE1 / type1) ** 2 + SHY_COST * np.exp(-((s / SHY_S) ** 2))
+        price = (
+            1.0 + (COSTLY_TYPE1 / type1) ** 2 + S_COST * np.exp(-((s / COSTLY_S) ** 2))
+        )
     region = first.astype(np.int64) + np.where(second > 0, second + count, 0)
     numbers = np.arange(nx * ny).reshape(nx, ny)
     edges = []
@@ -73,7 +72,7 @@ def make_regions(robot: RobotParameters) -> Regions:
             (
                 numbers[a][both],
                 numbers[b][both],
-                SPACING * np.hypot(di, dj) * 0.5 * (shy[a] + shy[b])[both],
+                SPACING * np.hypot(di, dj) * 0.5 * (price[a] + price[b])[both],
             )
         )
     begin, end, cost = (np.concatenate(part) for part in zip(*edges, strict=True))
@@ -87,8 +86,8 @@ def make_regions(robot: RobotParameters) -> Regions:
 
 
 def cell_of(regions: Regions, x: Array, sign: float) -> int | None:
-    """The nearest cell on the side ``sign`` within ENTRY cells of x; None when there is
-    none.
+    """The nearest cell to x (2,), m, on the side ``sign`` of the locus, within ENTRY
+    cells; None when there is none.
     """
     middle = np.round((x - regions.origin) / SPACING).astype(int)
     low, high = (
@@ -109,7 +108,9 @@ def cell_of(regions: Regions, x: Array, sign: float) -> int | None:
 
 
 def region_of(regions: Regions, x: Array, sign: float) -> int:
-    """Number of the region on the side ``sign`` of x; 0 when there is none."""
+    """The number of the region at x (2,), m, on the side ``sign`` of the locus; 0 when
+    there is none.
+    """
     cell = cell_of(regions, x, sign)
     return 0 if cell is None else int(regions.region.flat[cell])
 

@@ -1,6 +1,4 @@
-"""Regular motion: from rest to rest on one side of the locus, straight where possible,
-around it else.
-"""
+"""Regular motion: from rest to rest on one side of the locus, straight or around it."""
 
 from __future__ import annotations
 
@@ -21,19 +19,19 @@ KEPT_S = 1.3  # times that, on the grid: what a spline may cut off corners
 LEAST_DURATION = 0.1  # s, of a motion however short
 SPLINE_DEGREE = 7
 BUSY_TORQUE = 0.3  # of max_torque that a regular motion takes at most
-STRIDES = (
-    16,
-    10,
-    6,
-    4,
-    2,
-)  # grid places from one spline point to the next: the first that keeps clear counts
+# grid places from one spline point to the next: the first that keeps clear counts
+STRIDES = (16, 10, 6, 4, 2)
 COUNTS = {2: "two", 3: "three"}
 TIGHTENINGS = 6  # of the pace, each to what the torque asks for
 
 
 def side_of(robot: AnyRobot, name: str, x: Array) -> float:
-    """s of a place (n,), m, where a motion starts or ends.
+    """s of the place where a motion starts or ends.
+
+    Args:
+        robot: of the motion.
+        name: of the place, in messages.
+        x: (n,), m.
 
     Raises:
         GeometryError: it is unreachable, too near to Type 1 or out of a joint's range.
@@ -68,8 +66,12 @@ def side_of(robot: AnyRobot, name: str, x: Array) -> float:
 
 
 def straight(start: Array, goal: Array, speed: float) -> Trajectory:
-    """x = start + (goal - start)(35 t^4 - 84 t^5 + 70 t^6 - 20 t^7): rest to rest, zero
-    jerk at both ends.
+    """x = start + (goal - start)(35 t^4 - 84 t^5 + 70 t^6 - 20 t^7): rest to rest, with
+    zero jerk at both ends.
+
+    Args:
+        start, goal: (n,), m.
+        speed: peak speed, m/s.
     """
     law = np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
     duration = max(
@@ -81,13 +83,11 @@ def straight(start: Array, goal: Array, speed: float) -> Trajectory:
 
 
 def spline(places: Array, speed: float) -> Trajectory:
-    """Rest to rest, zero jerk at both ends, through places (n, 2), slower where it
-    starts and ends; four at least.
+    """The motion through places (m, 2), m, four at least, at a peak speed, m/s: rest to
+    rest, with zero jerk at both ends.
     """
-    from scipy.interpolate import (
-        PPoly,
-        make_interp_spline,
-    )  # here: it takes longer to load than all else
+    # here: it takes longer to load than all else
+    from scipy.interpolate import PPoly, make_interp_spline
 
     reached = lengths_along(places)
     share = reached / reached[-1]
@@ -105,9 +105,8 @@ def spline(places: Array, speed: float) -> Trajectory:
     knots = np.append(curves[0].x[:-1][pieces], curves[0].x[-1])
     coefficients = np.stack([curve.c[::-1, pieces].T for curve in curves], axis=2)
     unit = Trajectory(knots - knots[0], knots[:-1] - knots[0], coefficients)
-    fastest = float(
-        np.hypot(*unit.table(np.linspace(0.0, unit.duration, 200))[1].T).max()
-    )
+    _, x_dot, _ = unit.table(np.linspace(0.0, unit.duration, 200))
+    fastest = float(np.hypot(*x_dot.T).max())
     return unit.scaled(max(fastest / speed, LEAST_DURATION))
 
 
@@ -126,24 +125,24 @@ def _paced(robot: AnyRobot, motion: Trajectory) -> Trajectory:
     """The motion, slowed down until it takes BUSY_TORQUE of the torque limit (or as
     little as gravity lets it).
     """
+    limit = BUSY_TORQUE * robot.max_torque
     for _ in range(TIGHTENINGS):
         peak = measure(robot, motion, motion.duration / 400.0).peak_torque
-        if peak <= BUSY_TORQUE * robot.max_torque:
+        if peak <= limit:
             break
-        motion = motion.scaled(
-            float(np.clip(np.sqrt(peak / (BUSY_TORQUE * robot.max_torque)), 1.05, 2.0))
-        )
+        motion = motion.scaled(float(np.clip(np.sqrt(peak / limit), 1.05, 2.0)))
     return motion
 
 
 def plan_approach(
     robot: AnyRobot, start: Array, goal: Array, speed: float
 ) -> Trajectory:
-    """From start to goal, rest to rest, on one side of the locus: a straight line, or
-    for the five-bar a spline where that fails.
+    """Plan from start to goal, rest to rest, on one side of the locus: a straight line,
+    or for the five-bar a spline where that fails.
 
     Args:
-        start, goal: (n,) m.
+        robot: of any mechanism.
+        start, goal: (n,), m.
         speed: peak speed, m/s.
 
     Raises:
@@ -152,33 +151,19 @@ def plan_approach(
         TrajectoryError: no way stays on one side, clear of Type 1 and in the joints'
             range.
     """
-    start, goal = (
-        np.asarray(start, dtype=np.float64),
-        np.asarray(goal, dtype=np.float64),
-    )
+    start, goal = np.asarray(start, np.float64), np.asarray(goal, np.float64)
     if not speed > 0.0:
         raise TrajectoryError(f"speed = {speed} m/s; it must be > 0")
-    signs = [
-        np.sign(side_of(robot, name, x))
-        for name, x in (("start", start), ("goal", goal))
-    ]
+    before = np.sign(side_of(robot, "start", start))
+    after = np.sign(side_of(robot, "goal", goal))
     line = straight(start, goal, speed)
     motion = line if _clear(robot, line) else None
-    if motion is None and signs[0] == signs[1] and isinstance(robot, RobotParameters):
-        found = find_way(
-            make_regions(robot),
-            start,
-            signs[0],
-            goal,
-            signs[1],
-            KEPT_S * MIN_APPROACH_S,
-        )
-        curves = (
-            ()
-            if found is None
-            else (spline(_thinned(found[0], stride), speed) for stride in STRIDES)
-        )
-        motion = next((curve for curve in curves if _clear(robot, curve)), None)
+    if motion is None and before == after and isinstance(robot, RobotParameters):
+        least_s = KEPT_S * MIN_APPROACH_S
+        found = find_way(make_regions(robot), start, before, goal, after, least_s)
+        if found is not None:
+            curves = (spline(_thinned(found[0], stride), speed) for stride in STRIDES)
+            motion = next((curve for curve in curves if _clear(robot, curve)), None)
     if motion is None:
         least = np.abs(measure(robot, line).profile.s).min()
         raise TrajectoryError(
@@ -192,8 +177,8 @@ def plan_approach(
 
 
 def _thinned(way: Array, stride: int) -> Array:
-    """Every ``stride``-th place, with both ends, at least four, none closer to an end
-    than a cell.
+    """Every ``stride``-th of the places (m, 2), m, with both ends: at least four, none
+    closer to an end than a cell.
     """
     inner = way[1:-1][
         (np.hypot(*(way[1:-1] - way[0]).T) > SPACING)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from enum import Enum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.locus import REST_S, LocusPoint, rests_around
 from dextar_control.planning.model import PlanningModel, planning_model
 from dextar_control.planning.trajectory import Trajectory
+from dextar_control.symbols.functions import Results
 from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.types import Array
 
@@ -27,31 +28,26 @@ LEG_TIME = 2.0  # s of a leg between two crossings that costs one
 GOOD = 1.5  # cost below which no further guess is tried
 ITERATIONS = 200  # of one descent
 TOLERANCE = 1e-3  # on the gradient
-DESCENTS, GAIN = (
-    3,
-    0.01,
-    # from where the one before ended, at a kink of the cost as a rule, while each gains
-    # this share
-)
+# descents, each from where the one before ended (at a kink of the cost as a rule), as
+# long as each gains this share
+DESCENTS, GAIN = 3, 0.01
 GUESSES = 3  # in the plane
-HURRIED, HURRY = 2, 2.5  # of them that are tried with a velocity so many times larger
-SPACE = 4  # times as many for each dimension more: there are more ways
+HURRIED, HURRY = 2, 2.5  # of them that are also tried with a so many times larger speed
+SPACE = 4  # times as many guesses for each dimension more
 IMPOSSIBLE = 1e12  # cost of a candidate without a finite one
-BENDS = (
-    "first_bends",
-    "second_bends",
-)  # the variables of a crossing that are closed where straight ways are tried
+# the variables of a crossing that are closed where straight ways are tried
+BENDS = ("first_bends", "second_bends")
 VISIT = 0.9  # cosine of the angle between the ways of two guesses that are taken as one
 
 Progress = Callable[[float, str], None]
 
 
 def silent(fraction: float, stage: str) -> None:
-    """Progress that nobody asked for."""
+    """Report no progress."""
 
 
-class Criterion(Enum):
-    """What holds at the crossing: t_s.w_d = 0 (Eq. 5), or w_d = 0 altogether (the
+class CrossingCriterion(Enum):
+    """What is imposed at the crossing: t_s.w_d = 0 (Eq. 5), or w_d = 0 altogether (the
     paper's [10]).
     """
 
@@ -65,7 +61,7 @@ class Problem(NamedTuple):
     Attributes:
         model: of the robot.
         leg: whether it is a leg between two crossings.
-        limits, task: what costs, and what is given; see ``candidate.layouts``.
+        limits, task: the limits and what is given; see ``candidate.layouts``.
         free: indices of the open variables.
     """
 
@@ -77,31 +73,29 @@ class Problem(NamedTuple):
 
     @property
     def variables(self) -> Layout:
-        """Of a candidate."""
+        """The layout of a candidate's variables."""
         return self.model.layouts.leg if self.leg else self.model.layouts.crossing
 
     def lasting(self, duration: float) -> Problem:
-        """The same with another duration, s."""
+        """The same problem with another duration, s."""
         task = self.task.copy()
         task.duration = duration
         return self._replace(task=task)
 
     def opened(self, *names: str) -> Problem:
-        """The same with these variables open too."""
+        """The same problem with these variables open too."""
         return self._replace(free=np.union1d(self.free, self.variables.indices(*names)))
 
     def costs(self, z: Record) -> tuple[float, Array]:
-        """The cost of a candidate and its gradient over all variables."""
+        """The cost of a candidate, and its gradient (size,) over all variables, 1."""
         function = self.model.leg_cost if self.leg else self.model.crossing_cost
         found = function(self.limits.numbers, self.task.numbers, z.numbers)
         cost, gradient = float(found.cost[0]), found.gradient
-        return (
-            (cost, gradient)
-            if np.isfinite(cost) and np.isfinite(gradient).all()
-            else (IMPOSSIBLE, np.zeros(len(gradient)))
-        )
+        if np.isfinite(cost) and np.isfinite(gradient).all():
+            return cost, gradient
+        return IMPOSSIBLE, np.zeros(len(gradient))
 
-    def halves(self, z: Record) -> Any:
+    def halves(self, z: Record) -> Results:
         """The halves of a candidate, first and second (n, ROWS), and their spans (2,),
         s.
         """
@@ -112,7 +106,7 @@ class Problem(NamedTuple):
 def soft_limits(
     robot: AnyRobot, end_s: float, locus_time: float = LOCUS_TIME
 ) -> Record:
-    """What the search aims at, inside the robot's limits."""
+    """The limits that the search aims at, inside the robot's."""
     return planning_model(robot).layouts.limits.make(
         torque=TORQUE_SHARE * robot.max_torque,
         near_time=locus_time,
@@ -129,20 +123,24 @@ def crossing_problem(
     point: LocusPoint,
     sign: float,
     duration: float,
-    criterion: Criterion,
+    criterion: CrossingCriterion,
     free: Sequence[str],
     end_s: float = SOFT_END_S,
     towards: Array | None = None,
     locus_time: float = LOCUS_TIME,
 ) -> Problem:
-    """A crossing near a locus point.
+    """The problem of a crossing near a locus point.
 
     Args:
+        robot: in the working mode of the point.
+        point: of the locus.
         sign: of s after the crossing.
         duration: s.
+        criterion: what is imposed at the crossing.
         free: names of the variables that are open.
         end_s: |s| that the ends keep.
-        towards: (n,) unit direction of the velocity at the crossing; open when None.
+        towards: unit direction of the velocity at the crossing, (n,), 1; open when
+            None.
         locus_time: s near the locus that costs as much as a peak torque of
             TORQUE_SHARE.
 
@@ -165,7 +163,7 @@ def crossing_problem(
         sign=sign,
         family=family,
         branch=point.branch,
-        zero_wrench=criterion is Criterion.ZERO_WRENCH,
+        zero_wrench=criterion is CrossingCriterion.ZERO_WRENCH,
         directions=directions,
         point=point.x,
     )
@@ -181,8 +179,14 @@ def crossing_problem(
 def leg_problem(
     robot: AnyRobot, left: Array, reached: Array, sign: float, duration: float
 ) -> Problem:
-    """A leg on the side ``sign`` between two crossing states (n, 4), about ``duration``
-    s long.
+    """The problem of a leg between two crossings.
+
+    Args:
+        robot: in their working mode.
+        left, reached: states at the two crossings, (n, 4): columns x, m, x_dot, x_ddot
+            and jerk.
+        sign: of s on the leg.
+        duration: about how long it takes, s.
     """
     model = planning_model(robot)
     task = model.layouts.leg_task.make(
@@ -198,12 +202,10 @@ def leg_problem(
 
 
 def trajectory_of(problem: Problem, z: Record) -> Trajectory:
-    """A candidate as a trajectory from time 0."""
+    """The trajectory of a candidate, from time 0."""
     pair = problem.halves(z)
     first, second = np.abs(pair.spans)
-    origins = (
-        np.array([0.0, first + second]) if problem.leg else np.array([first, first])
-    )
+    origins = np.array([0.0, first + second] if problem.leg else [first, first])
     pieces = [
         coefficients_over(*half)
         for half in zip((pair.first, pair.second), pair.spans, strict=True)
@@ -212,14 +214,14 @@ def trajectory_of(problem: Problem, z: Record) -> Trajectory:
 
 
 def coefficients_over(half: Array, span: float) -> Array:
-    """(ROWS, n) by rising power of time, of a half (n, ROWS) by powers of the share of
-    its span, s.
+    """Coefficients (ROWS, n) by rising power of time, s, of a half (n, ROWS) by rising
+    power of the share of its span, s.
     """
     return np.asarray(half.T / float(span) ** np.arange(half.shape[1])[:, None])
 
 
 def descend(problem: Problem, guess: Record) -> tuple[float, Record]:
-    """The cost and the variables to which descents from a guess lead."""
+    """The least cost that descents from a guess find, and its variables."""
     from scipy.optimize import minimize  # here: it takes longer to load than all else
 
     z = guess.copy()
@@ -247,28 +249,25 @@ def guesses_through(
 ) -> list[Record]:
     """Guesses with rests straight ahead of the point on both sides, as much in line as
     can be.
+
+    Args:
+        problem: of the crossing.
+        point: of the locus.
+        towards: unit direction of the velocity there, (n,), 1; open when None.
     """
-    model, x, length, sign = (
-        problem.model,
-        point.x,
-        problem.task.length,
-        problem.task.sign,
-    )
+    model, x = problem.model, point.x
+    length, sign = problem.task.length, problem.task.sign
     rests = rests_around(model, x[None], problem.limits.type1, REST_S)[0]
     n, side = model.n, rests[:, -2] * sign
     first, last = rests[side < 0.0], rests[side > 0.0]
     if len(first) == 0 or len(last) == 0:
         return []
     starts, goals = first[:, :n], last[:, :n]
-    far_before, far_after = (
-        np.linalg.norm(x - starts, axis=1),
-        np.linalg.norm(goals - x, axis=1),
-    )
+    far_before = np.linalg.norm(x - starts, axis=1)
+    far_after = np.linalg.norm(goals - x, axis=1)
     before, after = (x - starts) / far_before[:, None], (goals - x) / far_after[:, None]
-    total, clearance = (
-        far_before[:, None] + far_after,
-        np.minimum(first[:, None, -1], last[:, -1]),
-    )
+    total = far_before[:, None] + far_after
+    clearance = np.minimum(first[:, None, -1], last[:, -1])
     score = (
         1.0
         - before @ after.T
@@ -287,15 +286,14 @@ def guesses_through(
         if any(direction @ other > VISIT for other in chosen):
             continue
         chosen.append(direction)
+        moved = way if towards is None else distance * np.eye(n)[0]
         found.append(
             problem.variables.make(
                 start=starts[row] / length,
                 goal=goals[column] / length,
                 place=point.angle,
                 split=np.clip(far_before[row] / total[row, column], 0.35, 0.65),
-                velocity=2.0
-                * (way if towards is None else distance * np.eye(n)[0])
-                / length,
+                velocity=2.0 * moved / length,
             )
         )
         if len(found) == GUESSES * SPACE ** (n - 2):

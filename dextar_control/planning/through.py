@@ -22,7 +22,7 @@ from dextar_control.planning.locus import (
 from dextar_control.planning.model import planning_model
 from dextar_control.planning.search import (
     LOCUS_TIME,
-    Criterion,
+    CrossingCriterion,
     Progress,
     crossing_problem,
     guesses_through,
@@ -32,31 +32,17 @@ from dextar_control.planning.trajectory import in_words
 from dextar_control.symbols.types import Array
 
 MIN_SLOPE = 0.1  # sine of the angle between a crossing's direction and the locus
-NEIGHBOURS = (
-    0.005,
-    -0.005,
-    0.01,
-    -0.01,
-    0.02,
-    -0.02,
-    0.04,
-    -0.04,
-)  # m along the locus, where another point is looked for
-OPEN = (
-    "start",
-    "goal",
-    "split",
-    "velocity",
-    "strong",
-    "jerk",
-)  # what the search chooses
+# m along the locus, where another point is looked for
+NEIGHBOURS = (0.005, -0.005, 0.01, -0.01, 0.02, -0.02, 0.04, -0.04)
+# what the search chooses
+OPEN = ("start", "goal", "split", "velocity", "strong", "jerk")
 
 
-def _way(
+def _sign_and_direction(
     point: LocusPoint, direction: int | float | Array
 ) -> tuple[float, Array | None]:
-    """The sign of s after the crossing and the unit direction of the velocity, if one
-    was given.
+    """The sign of s after the crossing, and the unit direction (n,) of the velocity
+    where one is given.
     """
     if np.ndim(direction) == 0:
         if float(direction) not in (-1.0, 1.0):
@@ -66,21 +52,16 @@ def _way(
             )
         return float(direction), None
     towards = np.asarray(direction, dtype=np.float64)
-    norm = (
-        float(np.linalg.norm(towards))
-        if towards.shape == point.x.shape
-        else float("nan")
-    )
-    if not (np.isfinite(norm) and norm > 0.0):
+    norm = float(np.linalg.norm(towards))
+    if towards.shape != point.x.shape or not (np.isfinite(norm) and norm > 0.0):
         raise TrajectoryError(
             f"direction = {towards.tolist()}; it must be a vector of {len(point.x)}"
             " finite numbers, not zero"
         )
-    slope = (
-        float(point.gradient @ towards) / norm / float(np.linalg.norm(point.gradient))
-    )
+    steepest = float(np.linalg.norm(point.gradient))
+    slope = float(point.gradient @ towards) / norm / steepest
     if abs(slope) < MIN_SLOPE:
-        normal = point.gradient / np.linalg.norm(point.gradient)
+        normal = point.gradient / steepest
         raise TrajectoryError(
             f"the direction ({', '.join(f'{part:.3f}' for part in towards)}) runs along"
             f" the locus at {in_words(point.x)}: the sine of its angle to the locus is"
@@ -96,12 +77,12 @@ def plan_through(
     direction: int | Array,
     duration: float | None = None,
     *,
-    criterion: Criterion = Criterion.RECIPROCAL,
+    criterion: CrossingCriterion = CrossingCriterion.RECIPROCAL,
     locus_time: float = LOCUS_TIME,
     progress: Progress = silent,
 ) -> Plan:
-    """One way through a given point of the locus, rest to rest; the planner chooses
-    both ends.
+    """Plan one way through a given point of the locus, rest to rest; the planner
+    chooses both ends.
 
     Args:
         robot: in the working mode of the point (``robot_at``).
@@ -110,7 +91,7 @@ def plan_through(
             velocity there.
         duration: s; chosen when None, so that the peak torque is TORQUE_SHARE of the
             limit.
-        criterion: what holds at the crossing.
+        criterion: what is imposed at the crossing.
         locus_time: s near the locus that costs as much as a peak torque of
             TORQUE_SHARE; see ``plan_crossing``.
         progress: called with the fraction done and what is being tried.
@@ -122,7 +103,7 @@ def plan_through(
             found; says what binds and which duration or point would do.
     """
     place = place_of(robot, point)
-    sign, towards = _way(place, direction)
+    sign, towards = _sign_and_direction(place, direction)
     scale = scale_of(duration, planning_model(robot).length)
     best = Best(robot)
 
@@ -149,15 +130,13 @@ def plan_through(
     attempt(place, None, best)
     if best.found is None:
         near = _nearest_with_room(robot, place)
+        other = (
+            "" if near is None else f"; the nearest point that has is {in_words(near)}"
+        )
         raise GeometryError(
             f"the locus point {in_words(place.x)} has no room for a rest with |s| >="
-            f" {MIN_END_S} straight"
-            f" ahead on both sides (distance to Type 1: {place.type1:.3f})"
-            + (
-                ""
-                if near is None
-                else f"; the nearest point that has is {in_words(near)}"
-            ),
+            f" {MIN_END_S} straight ahead on both sides (distance to Type 1:"
+            f" {place.type1:.3f}){other}",
             **({} if near is None else {"point": near.tolist()}),
         )
     best.restart(lambda found: found.good, progress)
@@ -178,8 +157,8 @@ def plan_through(
 
 
 def _nearest_with_room(robot: AnyRobot, place: LocusPoint) -> Array | None:
-    """The point (2,) of the locus nearest to one without room that has some, m; None
-    when there is none.
+    """The nearest point (2,), m, of the locus that has room for a rest on both sides;
+    None when there is none.
     """
     if not isinstance(robot, RobotParameters):
         return None

@@ -28,7 +28,7 @@ from dextar_control.planning.regions import find_way, make_regions, region_of
 from dextar_control.planning.regular import plan_approach, side_of
 from dextar_control.planning.search import (
     LOCUS_TIME,
-    Criterion,
+    CrossingCriterion,
     Problem,
     Progress,
     descend,
@@ -46,34 +46,35 @@ REGULAR_SPEED = 0.3  # m/s, peak, of regular motion
 SAME_PLACE = 1e-6  # m, closer needs no motion
 # times the count asked for, among which the points of one pair of regions are found
 MOST_SAMPLED = 40
-LEG_STRETCHES = (
-    1.0,
-    1.6,
-)  # of a leg's time over its length at the crossings' speed, one guess each
+# a leg's time over that of its length at the crossings' speed, one guess each
+LEG_STRETCHES = (1.0, 1.6)
 LEAST_LEG = 0.08  # s, of a leg's half
 MEETING_SPEED = 1.2  # of the mean speed, where the halves of a leg meet
-# of the distal length: how far from the locus a turn between neighbours is tried
-BEYOND = 0.6
+BEYOND = 0.6  # of the distal length: how far off a turn between neighbours is tried
 
 
-class Stop(NamedTuple):
+class TourCrossing(NamedTuple):
     """One crossing of a tour."""
 
     point: LocusPoint
     sign: float  # of s after it
 
 
-Wish = LocusPoint | Array | tuple[LocusPoint | Array, int]
+TourPoint = LocusPoint | Array | tuple[LocusPoint | Array, int]
 
 
 def spread_points(
     robot: RobotParameters, count: int, seed: int = 0
 ) -> list[LocusPoint]:
-    """``count`` crossable points spread over the locus of the robot's working mode,
-    between the same two regions.
+    """Crossable points spread over the locus of the robot's working mode, between the
+    same two regions.
 
-    They are ordered so that each is followed by its nearest neighbour, from the
-    leftmost on; the other way round where count is negative.
+    Each is followed by its nearest neighbour, from the leftmost on.
+
+    Args:
+        robot: whose locus it is.
+        count: of points; below zero, as many in reversed order.
+        seed: of the spread.
 
     Raises:
         ParameterError: count is 0.
@@ -105,17 +106,12 @@ def spread_points(
             f"tour = {count} points; working mode {list(robot.working_mode)} offers"
             f" {len(points)}"
         )
-    left = [
-        points[row]
-        for row in np.linspace(0, len(points) - 1, count).round().astype(int)
-    ]
+    rows = np.linspace(0, len(points) - 1, count).round().astype(int)
+    left = [points[row] for row in rows]
     ordered = [left.pop(int(np.argmin([point.x[0] for point in left])))]
     while left:
-        ordered.append(
-            left.pop(
-                int(np.argmin([np.hypot(*(point.x - ordered[-1].x)) for point in left]))
-            )
-        )
+        gaps = [np.hypot(*(point.x - ordered[-1].x)) for point in left]
+        ordered.append(left.pop(int(np.argmin(gaps))))
     return ordered
 
 
@@ -124,9 +120,12 @@ def _side(sign: float) -> str:
 
 
 def _stops(
-    robot: RobotParameters, points: Sequence[Wish], repeat: int, start: Array | None
-) -> list[Stop]:
-    """The crossings of a tour in order, with their directions.
+    robot: RobotParameters,
+    points: Sequence[TourPoint],
+    repeat: int,
+    start: Array | None,
+) -> list[TourCrossing]:
+    """The crossings of a tour in their order, with their directions.
 
     Raises:
         GeometryError: a point is off the locus, or borders other regions than the one
@@ -163,7 +162,7 @@ def _stops(
             )
         first = int(-side)
     stops = [
-        Stop(places[row % len(places)], float(first or 1) * (-1.0) ** row)
+        TourCrossing(places[row % len(places)], float(first or 1) * (-1.0) ** row)
         for row in range(len(places) * repeat)
     ]
     for row, (way, stop) in enumerate(zip(ways, stops, strict=False)):
@@ -199,21 +198,18 @@ def _piece(trajectory: Trajectory, row: int) -> Trajectory:
 
 
 def _state(trajectory: Trajectory) -> Array:
-    """Columns x, x_dot, x_ddot, jerk (n, 4) at the crossing."""
+    """The state (n, 4) at the crossing: columns x, m, x_dot, x_ddot and jerk."""
     return np.asarray(trajectory.coefficients[1, :4].T * np.array([1.0, 1.0, 2.0, 6.0]))
 
 
 def _leg_guesses(
     robot: RobotParameters, left: Array, reached: Array, sign: float
 ) -> list[tuple[Problem, Record]]:
-    """Legs that follow the way between two crossings on the grid, or swing out where
-    they are neighbours.
+    """Problems and guesses of legs between two crossings' states (n, 4), that follow
+    the way on the grid, or swing out where the crossings are neighbours.
     """
-    unit, (begin, leaving), (end, arriving) = (
-        planning_model(robot).length,
-        left.T[:2],
-        reached.T[:2],
-    )
+    unit = planning_model(robot).length
+    (begin, leaving), (end, arriving) = left.T[:2], reached.T[:2]
     found = find_way(make_regions(robot), begin, sign, end, sign, 0.5)
     speed = 0.5 * float(np.hypot(*leaving) + np.hypot(*arriving))
     middles = [
@@ -226,31 +222,18 @@ def _leg_guesses(
     for stretch in LEG_STRETCHES:
         for middle in middles:
             lengths = np.hypot(*(middle - begin)), np.hypot(*(end - middle))
-            spans = np.array(
-                [
-                    max(stretch * length / max(speed, 0.05) * 1.5, LEAST_LEG)
-                    for length in lengths
-                ]
-            )
+            slowest = [stretch * one / max(speed, 0.05) * 1.5 for one in lengths]
+            spans = np.maximum(slowest, LEAST_LEG)
             scale, along = 0.5 * float(spans.sum()), end - begin
             problem = leg_problem(robot, left, reached, sign, scale)
-            swift = (
-                MEETING_SPEED
-                * sum(lengths)
-                / spans.sum()
-                * along
-                / max(float(np.hypot(*along)), 0.02)
+            speed_there = MEETING_SPEED * sum(lengths) / spans.sum()
+            swift = speed_there * along / max(float(np.hypot(*along)), 0.02)
+            guess = problem.variables.make(
+                x=middle / unit,
+                x_dot=swift * scale / unit,
+                spans=np.log(spans / scale),
             )
-            guesses.append(
-                (
-                    problem,
-                    problem.variables.make(
-                        x=middle / unit,
-                        x_dot=swift * scale / unit,
-                        spans=np.log(spans / scale),
-                    ),
-                )
-            )
+            guesses.append((problem, guess))
     return guesses
 
 
@@ -280,7 +263,7 @@ def _flow(
 
 
 def _around(robot: RobotParameters, begin: Array, end: Array) -> list[Trajectory]:
-    """Regular motion from rest to rest, none where both are in the same place."""
+    """Regular motion between places (2,), m, rest to rest; none where they are one."""
     return (
         [plan_approach(robot, begin, end, REGULAR_SPEED)]
         if np.linalg.norm(end - begin) > SAME_PLACE
@@ -290,7 +273,7 @@ def _around(robot: RobotParameters, begin: Array, end: Array) -> list[Trajectory
 
 def plan_tour(
     robot: RobotParameters,
-    points: int | Sequence[Wish],
+    points: int | Sequence[TourPoint],
     repeat: int = 1,
     seed: int = 0,
     *,
@@ -298,29 +281,29 @@ def plan_tour(
     duration: float | None = None,
     dwell: float = DWELL,
     flow: bool = True,
-    criterion: Criterion = Criterion.RECIPROCAL,
+    criterion: CrossingCriterion = CrossingCriterion.RECIPROCAL,
     locus_time: float = LOCUS_TIME,
     progress: Progress = silent,
 ) -> Plan:
-    """Crossings at several points of the locus one after the other, certified as a
-    whole.
+    """Plan crossings at several points of the locus one after the other, certified as
+    a whole.
 
-    It starts at rest, and ends at rest in the same place where the number of crossings
-    is even (on the other side of the locus where it is odd). In a tour of an odd number
-    of points each lap runs through them the other way round.
+    The tour starts at rest, and ends at rest in the same place where the number of
+    crossings is even, on the other side of the locus where it is odd. With an odd
+    number of points every other lap runs through them in the other direction.
 
     Args:
         robot: whose working mode the points belong to.
         points: locus points, or positions (2,), m, each alone or with its direction
-            (the sign of s after it); or how many, to have them spread over the locus
-            (see ``spread_points``).
+            (the sign of s after it); or a number of points that ``spread_points``
+            chooses.
         repeat: laps.
         seed: of the spread.
-        start: (2,) m where it starts; chosen when None.
-        duration: s, of each crossing where it is planned by itself; chosen when None.
+        start: where it starts, (2,), m; chosen when None.
+        duration: of each crossing where it is planned by itself, s; chosen when None.
         dwell: of the rests at both ends, s.
         flow: pass from one crossing to the next without stopping where possible.
-        criterion: what holds at the crossings.
+        criterion: what is imposed at the crossings.
         locus_time: s near the locus that costs as much as a peak torque of
             TORQUE_SHARE; see ``plan_crossing``.
         progress: called with the fraction done and what is being planned.

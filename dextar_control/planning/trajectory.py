@@ -17,20 +17,19 @@ import numpy as np
 from dextar_control.contract.errors import TrajectoryError
 from dextar_control.symbols.types import Array
 
-# instants of a table: what keeps the interpreter for less than a control period
+# instants that a table computes at once, in less than a control period
 AT_ONCE = 512
 
 
 def in_words(x: Array) -> str:
-    """A place of the platform (n,), m, as messages give it."""
+    """A platform position (n,), m, as messages write it."""
     return f"({', '.join(f'{value:.4f}' for value in x)}) m"
 
 
 def lengths_along(places: Array) -> Array:
-    """The length (m,) of a way up to each of its places (m, n), m."""
-    return np.concatenate(
-        [[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))]
-    )
+    """The length (m,), m, of a way up to each of its places (m, n), m."""
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 class Point(NamedTuple):
@@ -42,13 +41,12 @@ class Point(NamedTuple):
 
 
 class Trajectory:
-    """A piecewise polynomial of the end effector over [0, duration]; its numbers are
-    not to be changed.
+    """A piecewise polynomial of the end effector over [0, duration], immutable.
 
     Args:
-        knots: (m + 1,) rising times of the segment ends, s, from 0.
-        origins: (m,) the time at which each segment's polynomial argument is zero, s.
-        coefficients: (m, k, n) by rising power.
+        knots: rising times of the segment ends, (m + 1,), s, from 0.
+        origins: times at which each segment's polynomial argument is zero, (m,), s.
+        coefficients: by rising power, (m, k, n), m over powers of s.
     """
 
     def __init__(self, knots: Array, origins: Array, coefficients: Array) -> None:
@@ -57,25 +55,21 @@ class Trajectory:
         self.coefficients = np.ascontiguousarray(coefficients, dtype=np.float64)
         _, rows, n = self.coefficients.shape
         self._begins, self._origins = self.knots[:-1].tolist(), self.origins.tolist()
-        self._powers, self._n, self._end = (
-            np.arange(rows, dtype=np.float64),
-            n,
-            float(self.knots[-1]),
-        )
+        self._powers = np.arange(rows, dtype=np.float64)
+        self._n, self._end = n, float(self.knots[-1])
         first, second = np.zeros((2, *self.coefficients.shape))
         first[:, :-1] = self.coefficients[:, 1:] * self._powers[1:, None]
         second[:, :-1] = first[:, 1:] * self._powers[1:, None]
-        self._rows = np.concatenate(
-            [self.coefficients, first, second], axis=2
-        )  # (m, k, 3n): x, x_dot and x_ddot at once
+        # (m, k, 3n): x, x_dot and x_ddot at once
+        self._rows = np.concatenate([self.coefficients, first, second], axis=2)
 
     @property
     def duration(self) -> float:
-        """s."""
+        """The time from start to end, s."""
         return self._end
 
     def at(self, time: float) -> Point:
-        """The instant at a time, held at both ends."""
+        """The instant at a time, s, held at both ends."""
         held = min(max(float(time), 0.0), self._end)
         row = max(bisect_right(self._begins, held) - 1, 0)
         found = (held - self._origins[row]) ** self._powers @ self._rows[row]
@@ -83,7 +77,9 @@ class Trajectory:
         return Point(found[:n], found[n : 2 * n], found[2 * n :])
 
     def table(self, times: Array) -> tuple[Array, Array, Array]:
-        """(x, x_dot, x_ddot), each (k, n), at times (k,), held at both ends."""
+        """(x, m, x_dot, m/s, x_ddot, m/s^2), (k, n) each, at times (k,), s, held at
+        both ends.
+        """
         held = np.clip(np.asarray(times, dtype=np.float64), 0.0, self.duration)
         found = np.empty((len(held), 3 * self._n))
         for begin in range(0, len(held), AT_ONCE):
@@ -97,8 +93,8 @@ class Trajectory:
         return x, x_dot, x_ddot
 
     def scaled(self, factor: float) -> Trajectory:
-        """The same path, ``factor`` times as long; keeps the criterion without
-        gravity.
+        """The same path in ``factor`` times the time; without gravity it keeps the
+        criterion.
         """
         powers = factor ** -np.arange(self.coefficients.shape[1])
         return Trajectory(
@@ -108,7 +104,7 @@ class Trajectory:
         )
 
     def reversed(self) -> Trajectory:
-        """The time reversal; keeps the criterion, since w_d is quadratic in
+        """The time reversal; it keeps the criterion where w_d is quadratic in the
         velocity.
         """
         signs = (-1.0) ** np.arange(self.coefficients.shape[1])
@@ -119,7 +115,7 @@ class Trajectory:
 
 
 def hold(x: Array, duration: float) -> Trajectory:
-    """At rest at x (n,) for a duration, s."""
+    """The trajectory at rest at x (n,), m, for a duration, s."""
     return Trajectory(np.array([0.0, duration]), np.zeros(1), np.array([[x]]))
 
 
@@ -131,12 +127,8 @@ def join(parts: list[Trajectory]) -> Trajectory:
     for part in parts:
         knots.append(part.knots[1:] + start)
         origins.append(part.origins + start)
-        coefficients.append(
-            np.pad(
-                part.coefficients,
-                ((0, 0), (0, width - part.coefficients.shape[1]), (0, 0)),
-            )
-        )
+        missing = width - part.coefficients.shape[1]
+        coefficients.append(np.pad(part.coefficients, ((0, 0), (0, missing), (0, 0))))
         start += part.duration
     return Trajectory(
         np.concatenate(knots), np.concatenate(origins), np.concatenate(coefficients)
@@ -144,15 +136,15 @@ def join(parts: list[Trajectory]) -> Trajectory:
 
 
 def quintic(times: Array, x: Array, x_dot: Array, x_ddot: Array) -> Trajectory:
-    """Quintic Hermite interpolation of samples.
+    """The trajectory through samples by quintic Hermite interpolation.
 
     Args:
-        times: (m,) rising from 0, s.
+        times: rising from 0, (m,), s.
         x, x_dot, x_ddot: (m, n), m, m/s, m/s^2.
 
     Raises:
-        TrajectoryError: fewer than two samples, times not rising from zero, a number
-            not finite.
+        TrajectoryError: there are fewer than two samples, the times do not rise from
+            zero, or a number is not finite.
     """
     times, x, x_dot, x_ddot = (
         np.asarray(part, dtype=np.float64) for part in (times, x, x_dot, x_ddot)
@@ -183,13 +175,12 @@ def quintic(times: Array, x: Array, x_dot: Array, x_ddot: Array) -> Trajectory:
     dx = x[1:] - x[:-1] - h * x_dot[:-1] - 0.5 * h**2 * x_ddot[:-1]
     dv = (x_dot[1:] - x_dot[:-1] - h * x_ddot[:-1]) * h
     da = (x_ddot[1:] - x_ddot[:-1]) * h**2
-    cubic, quartic = (
+    powers = [
+        x[:-1],
+        x_dot[:-1],
+        0.5 * x_ddot[:-1],
         (10.0 * dx - 4.0 * dv + 0.5 * da) / h**3,
         (-15.0 * dx + 7.0 * dv - da) / h**4,
-    )
-    highest = cubic, quartic, (6.0 * dx - 3.0 * dv + 0.5 * da) / h**5
-    return Trajectory(
-        times,
-        times[:-1],
-        np.stack([x[:-1], x_dot[:-1], 0.5 * x_ddot[:-1], *highest], axis=1),
-    )
+        (6.0 * dx - 3.0 * dv + 0.5 * da) / h**5,
+    ]
+    return Trajectory(times, times[:-1], np.stack(powers, axis=1))

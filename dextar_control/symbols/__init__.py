@@ -1,3 +1,1 @@
-"""Symbols and fast functions of them, whatever they stand for: no mechanism and no
-paper here.
-"""
+"""Symbols, and fast functions of them; nothing here knows a mechanism."""

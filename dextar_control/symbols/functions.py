@@ -1,4 +1,4 @@
-"""From symbols to fast functions: compiled together once where there is a C compiler,
+"""Fast functions of symbols: compiled together once where there is a C compiler,
 interpreted otherwise.
 
 CasADi writes all functions of a mechanism as one file of C; the system's compiler makes
@@ -17,42 +17,66 @@ import subprocess
 import sys
 import tempfile
 from collections import namedtuple
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Protocol, cast
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dextar_control.contract import caches, signals
 from dextar_control.symbols.types import Array, Symbol
 
-FLAGS = (
-    "-fPIC",
-    "-shared",
-    "-ffp-contract=off",
-)  # no fused operations: the same numbers on every machine of a kind
+# without fused operations: the same numbers on every machine of a kind
+FLAGS = ("-fPIC", "-shared", "-ffp-contract=off")
 BLOCK = 64  # states of a batch that one call takes
 COMPILE_TIMEOUT = 60.0  # s
 KEPT = 60  # libraries: some ten for each version of the equations
-SEAL = 32  # bytes
+SEAL = 32  # bytes of the hash behind a library
 _told: set[str] = set()
 _given_up: set[str] = set()  # compilers that took too long in this process
 COMPILER_VARIABLE = "DEXTAR_CC"
 """Environment variable that names the C compiler; empty for none."""
 
 
+class Results(Protocol):
+    """The results of a function: arrays by name, and in their order."""
+
+    def __getattr__(self, name: str) -> Array: ...
+
+    def __iter__(self) -> Iterator[Array]: ...
+
+
+class NumericFunction(Protocol):
+    """A function of numbers, such as ``Fast`` and ``Batch``."""
+
+    def __call__(self, *arguments: ArrayLike) -> Results:
+        """The results of arguments in their order."""
+
+
+class _MakeResults(Protocol):
+    def __call__(self, *results: Array) -> Results: ...
+
+
+class _Buffer(Protocol):
+    """CasADi's, whose stubs ask for a size that it knows."""
+
+    def set_arg(self, i: int, place: memoryview) -> None: ...
+
+    def set_res(self, i: int, place: memoryview) -> None: ...
+
+
 class Fast:
-    """One function with places of its own for arguments and results: not for two
+    """One function with arrays of its own for arguments and results: not for two
     threads at once.
 
     Args:
-        function: with names, dense arguments and dense results.
-        shared: arrays that serve as places of arguments or results of these names: of
-            one function's result and another's argument, or of a record. The caller
-            keeps them.
+        function: named, with dense arguments and dense results.
+        shared: arrays that serve as arguments or results of these names, such as one
+            function's result that is another's argument. The caller keeps them.
 
     Attributes:
         arguments: by name, arrays that ``run`` reads, (size,); a matrix column by
@@ -65,18 +89,17 @@ class Fast:
     ) -> None:
         given = dict(shared or {})
         self.arguments = SimpleNamespace()
-        self._buffer: Any
-        self._buffer, self.run = function.buffer()
+        self._buffer, self.run = _buffer_of(function)
         self._places: list[Array] = []
         for i, name in enumerate(function.name_in()):
-            place: Any = _place(name, function.sparsity_in(i), given)
-            self._buffer.set_arg(i, memoryview(place))
+            place = _place(name, function.sparsity_in(i), given)
+            self._buffer.set_arg(i, place.data)
             self._places.append(place)
             setattr(self.arguments, name, place)
         results = []
         for i, name in enumerate(function.name_out()):
             place = _place(name, function.sparsity_out(i), given)
-            self._buffer.set_res(i, memoryview(place))
+            self._buffer.set_res(i, place.data)
             results.append(
                 place.reshape(function.size_out(i), order="F")
                 if function.size2_out(i) > 1
@@ -86,13 +109,13 @@ class Fast:
         self.results = self._record(*results)
 
     def views(self) -> SimpleNamespace:
-        """The arguments as memoryviews: numbers go into them in half the time."""
+        """The arguments as memoryviews, into which numbers go in half the time."""
         return SimpleNamespace(
-            **{name: memoryview(place) for name, place in vars(self.arguments).items()}
+            **{name: place.data for name, place in vars(self.arguments).items()}
         )
 
-    def __call__(self, *arguments: Any) -> Any:
-        """The results as a record of new arrays."""
+    def __call__(self, *arguments: ArrayLike) -> Results:
+        """Results in new arrays, of arguments in their order."""
         for place, argument in zip(self._places, arguments, strict=True):
             place[:] = argument
         self.run()
@@ -103,29 +126,28 @@ class Batch:
     """One function of many states, block by block: not for two threads at once.
 
     Args:
-        function: with names, dense arguments and dense results.
+        function: named, with dense arguments and dense results.
     """
 
     def __init__(self, function: ca.Function) -> None:
-        buffer: Any
-        buffer, self._run = function.map(BLOCK).buffer()
-        self._places: list[Any] = [
+        buffer, self._run = _buffer_of(function.map(BLOCK))
+        self._places: list[Array] = [
             np.zeros((BLOCK, function.numel_in(i))) for i in range(function.n_in())
         ]
-        self._results: list[Any] = [
+        self._results: list[Array] = [
             np.zeros((BLOCK, function.numel_out(i))) for i in range(function.n_out())
         ]
         for i, place in enumerate(self._places):
-            buffer.set_arg(i, memoryview(place.reshape(-1)))
+            buffer.set_arg(i, place.reshape(-1).data)
         for i, place in enumerate(self._results):
-            buffer.set_res(i, memoryview(place.reshape(-1)))
+            buffer.set_res(i, place.reshape(-1).data)
         self._buffer = buffer
         self._shapes = [function.size_out(i) for i in range(function.n_out())]
         self._record = _record(function.name(), tuple(function.name_out()))
 
-    def __call__(self, *arguments: Any) -> Any:
-        """A record of (m, size) or (m, rows, columns), of arguments (m, size), or
-        (size,) for all states.
+    def __call__(self, *arguments: ArrayLike) -> Results:
+        """Results (m, size) or (m, rows, columns) of arguments (m, size), or (size,)
+        for all states.
         """
         given = [np.asarray(argument, dtype=np.float64) for argument in arguments]
         many = [
@@ -154,7 +176,7 @@ class Batch:
 
 
 class Library:
-    """Functions of one mechanism that are compiled together.
+    """Functions that are compiled together.
 
     Args:
         functions: on symbols, with names of their own.
@@ -164,7 +186,7 @@ class Library:
 
     Attributes:
         compiled: whether they are.
-        symbolic: by name, as they were given.
+        symbolic: the functions by name, as they were given.
     """
 
     def __init__(
@@ -182,18 +204,20 @@ class Library:
         self._functions = self.symbolic if loaded is None else loaded
 
     def fast(self, name: str, **shared: Array) -> Fast:
-        """A function with places of its own, but for those of these names."""
+        """A function with arrays of its own, but for the ``shared`` ones, (size,) each
+        in the unit that the function takes, such as rad, or 1.
+        """
         return Fast(self._functions[name], shared)
 
     def batch(self, name: str) -> Batch:
-        """The same for many states at once."""
+        """A function of many states at once."""
         return Batch(self._functions[name])
 
 
 def named(
-    name: str, arguments: Mapping[str, Symbol], results: Mapping[str, Any]
+    name: str, arguments: Mapping[str, Symbol], results: Mapping[str, Symbol]
 ) -> ca.Function:
-    """A function on symbols with dense results, its common parts computed once."""
+    """A function with dense results, whose common parts are computed once."""
     dense = [ca.densify(result) for result in results.values()]
     return ca.Function(
         name,
@@ -206,8 +230,8 @@ def named(
 
 
 def in_place(function: ca.Function) -> ca.Function:
-    """The same function, whose results may take the places of its arguments: it reads
-    all of these first.
+    """The same function, which reads all arguments before it writes a result, so that
+    the two may share arrays.
     """
     given = [
         ca.MX.sym(name, function.size1_in(i))
@@ -222,14 +246,19 @@ def in_place(function: ca.Function) -> ca.Function:
     )
 
 
+def _buffer_of(function: ca.Function) -> tuple[_Buffer, Callable[[], None]]:
+    """Where a function's arguments and results lie, and what computes these."""
+    return cast("tuple[_Buffer, Callable[[], None]]", function.buffer())
+
+
 @lru_cache
-def _record(name: str, results: tuple[str, ...]) -> Any:
-    return namedtuple(name, results)  # noqa: PYI024  the names are the function's
+def _record(name: str, results: tuple[str, ...]) -> _MakeResults:
+    return cast("_MakeResults", namedtuple(name, results))  # noqa: PYI024
 
 
 def _matrices(table: Array, shape: tuple[int, int]) -> Array:
-    """(m, rows) or (m, rows, columns) of a table whose rows hold matrices column by
-    column.
+    """(m, rows) or (m, rows, columns) of a table (m, rows * columns) whose rows hold
+    matrices column by column.
     """
     rows, columns = shape
     return (
@@ -251,8 +280,8 @@ def _place(name: str, sparsity: ca.Sparsity, given: Mapping[str, Array]) -> Arra
 
 
 def cache_folder() -> Path | None:
-    """Where compiled functions are kept; None where nothing can be written, which is
-    told.
+    """The folder of compiled functions; None where none can be written, which is
+    printed.
     """
     folder = caches.cache_folder("functions")
     if folder is None:
@@ -264,7 +293,7 @@ def cache_folder() -> Path | None:
 
 
 def compiler() -> str | None:
-    """Path of the C compiler, or None."""
+    """The path of the C compiler, or None."""
     named = os.environ.get(COMPILER_VARIABLE)
     if named is not None:
         return shutil.which(named) if named else None
@@ -275,7 +304,7 @@ def _compiled(
     functions: Mapping[str, ca.Function], folder: Path, flags: Sequence[str]
 ) -> Mapping[str, ca.Function] | None:
     """The functions from a library, compiled unless it is there already; None where
-    that cannot be done, which is told.
+    that cannot be done, which is printed.
     """
     command = compiler()
     if command is None:
@@ -315,21 +344,18 @@ def _compiled(
             )
             with target.open("r+b") as stream:
                 stream.write(_seal(stream.read()))
-            os.replace(
-                target, library
-            )  # whole or not at all, whoever else compiles the same
+            # whole or not at all, whoever else compiles the same:
+            os.replace(target, library)
         _prune(folder)
     except subprocess.TimeoutExpired:
         _given_up.add(command)
         _tell(f"the C compiler {command} took more than {COMPILE_TIMEOUT:g} s")
     except subprocess.CalledProcessError as error:
-        lines = error.stderr.decode(errors="replace").strip().splitlines() or [
-            "no message"
-        ]
-        if (
-            -error.returncode not in signals.ENDING
-        ):  # whoever asked it to end asks this process too
-            _tell(f"the C compiler {command} failed: {lines[0]}")
+        lines = error.stderr.decode(errors="replace").strip().splitlines()
+        # whoever asked the compiler to end asks this process too
+        if -error.returncode not in signals.ENDING:
+            said = lines[0] if lines else "no message"
+            _tell(f"the C compiler {command} failed: {said}")
     except OSError as error:
         _tell(f"{folder} cannot be written: {error.strerror or error}")
     else:
@@ -342,12 +368,12 @@ def _compiled(
 def _loaded(
     functions: Mapping[str, ca.Function], library: Path
 ) -> Mapping[str, ca.Function] | None:
-    """The functions of a compiled library; None where it is none."""
+    """The functions of a compiled library; None where the file is none."""
     try:
         content = library.read_bytes()
         if content[-SEAL:] != _seal(content[:-SEAL]):
             return None
-        os.utime(library)  # the least recently used ones go
+        os.utime(library)  # the least recently used ones are removed
     except OSError:
         if not os.access(library, os.R_OK):
             return None
@@ -358,21 +384,21 @@ def _loaded(
 
 
 def _seal(content: bytes) -> bytes:
-    """What stands behind a whole library: a cut one would end the process that calls
-    into it.
+    """The hash that stands behind a whole library: a library cut off would end the
+    process that calls it.
     """
     return hashlib.sha256(content).digest()
 
 
 def _prune(folder: Path) -> None:
-    """Keep the libraries that were used last."""
+    """Remove all libraries but those that were used last."""
     used = sorted(folder.glob("model-*.so"), key=lambda file: file.stat().st_mtime)
     for file in used[:-KEPT]:
         file.unlink(missing_ok=True)
 
 
 def _tell(why: str) -> None:
-    """Once in a process."""
+    """Print why the equations are interpreted, once in a process."""
     text = (
         "dextar: the model's equations are interpreted, two to three times slower:"
         f" {why}"

@@ -1,4 +1,4 @@
-"""Numbers by name: a record's fields on symbols and in an array, laid out once.
+"""Records: numbers by name, on symbols and in an array, laid out once.
 
 A fast function takes and gives whole records, one contiguous vector each. Both sides of
 it address the numbers by the same names: ``Layout.symbols`` where the function is
@@ -8,13 +8,16 @@ written, ``Record`` where it is called. No index is written anywhere else.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from dextar_control.symbols.types import Array, Symbol
+from dextar_control.symbols.types import Array, Slice, Symbol
+
+# A float or an array: the layout says which.
+Value: TypeAlias = Any  # type: ignore[explicit-any, unused-ignore]
 
 
 class Field(NamedTuple):
@@ -24,7 +27,7 @@ class Field(NamedTuple):
         name: by which it is addressed.
         unit: SI; of a platform coordinate m, of a joint that joint's.
         meaning: in a few words.
-        rows, columns: of its shape; "n" stands for the degrees of freedom, "3n" for
+        rows, columns: its shape; "n" stands for the degrees of freedom, "3n" for
             three times as many.
     """
 
@@ -36,13 +39,11 @@ class Field(NamedTuple):
 
 
 class Record:
-    """The numbers of one record; fields are attributes, views into ``numbers``:
-    (size,), (rows, columns), or a float.
-
-    Each layout has its class of them.
+    """The numbers of one record, whose fields are attributes: views of ``numbers``, in
+    shapes (size,) or (rows, columns), or floats. Each layout has its own class.
 
     Args:
-        numbers: the array that holds them; zeros when None.
+        numbers: the array that holds them, (size,); zeros when None.
     """
 
     __slots__ = ("_view", "numbers")
@@ -50,55 +51,57 @@ class Record:
 
     def __init__(self, numbers: Array | None = None) -> None:
         self.numbers = np.zeros(self.layout.size) if numbers is None else numbers
-        self._view = memoryview(self.numbers)  # type: ignore[arg-type]
+        self._view = self.numbers.data
 
-    def __getattr__(self, name: str) -> Any:  # what the class does not know
+    def __getattr__(self, name: str) -> Value:  # what the class does not know
         raise AttributeError(f"a record '{self.layout.name}' has no field '{name}'")
 
     if TYPE_CHECKING:
 
-        def __setattr__(self, name: str, value: Any) -> None:
+        def __setattr__(self, name: str, value: Value) -> None:
             """Each layout's class has its fields."""
 
     def copy(self) -> Record:
-        """One with numbers of its own."""
+        """A record of the same numbers in an array of its own."""
         return type(self)(self.numbers.copy())
 
     def take(self, other: Record) -> None:
-        """Become the other's numbers."""
+        """Copy the numbers of another record."""
         self.numbers[:] = other.numbers
 
 
-def _property(field: Field, place: Any, shape: tuple[int, ...] | None) -> property:
+def _property(
+    field: Field, place: int | Slice, shape: tuple[int, ...] | None
+) -> property:
     if shape is None:
 
-        def read(self: Record) -> Any:
+        def read(self: Record) -> Value:
             return self._view[place]
 
-        def write(self: Record, value: Any) -> None:
+        def write(self: Record, value: Value) -> None:
             self._view[place] = value
 
     elif len(shape) == 1:
 
-        def read(self: Record) -> Any:
+        def read(self: Record) -> Value:
             return self.numbers[place]
 
-        def write(self: Record, value: Any) -> None:
+        def write(self: Record, value: Value) -> None:
             self.numbers[place] = value
 
     else:
 
-        def read(self: Record) -> Any:
+        def read(self: Record) -> Value:
             return self.numbers[place].reshape(shape, order="F")
 
-        def write(self: Record, value: Any) -> None:
+        def write(self: Record, value: Value) -> None:
             self.numbers[place] = np.ravel(value, order="F")
 
     return property(read, write, doc=f"{field.meaning}, {field.unit}.")
 
 
 class Layout:
-    """Where the fields of a kind of record lie, for a number of degrees of freedom.
+    """The layout of one kind of record for a number of degrees of freedom.
 
     Args:
         name: of the kind.
@@ -106,14 +109,14 @@ class Layout:
         fields: in order.
 
     Attributes:
-        size: of all fields.
-        places: per field, its index (of a scalar) or slice, and its shape (None for a
-            scalar).
+        size: of all fields together.
+        places: of each field, its index (of a scalar) or slice, and its shape (None for
+            a scalar).
     """
 
     def __init__(self, name: str, n: int, fields: tuple[Field, ...]) -> None:
         self.name, self.n, self.fields = name, n, fields
-        self.places: dict[str, tuple[Any, tuple[int, ...] | None]] = {}
+        self.places: dict[str, tuple[int | Slice, tuple[int, ...] | None]] = {}
         start = 0
         for field in fields:
             rows, columns = self._count(field.rows), self._count(field.columns)
@@ -128,7 +131,7 @@ class Layout:
         members = {
             field.name: _property(field, *self.places[field.name]) for field in fields
         }
-        self._class: Any = type(
+        self._class: type[Record] = type(
             name.title().replace("_", ""),
             (Record,),
             {"__slots__": (), "layout": self, **members},
@@ -137,38 +140,37 @@ class Layout:
     def _count(self, size: int | str) -> int:
         return size if isinstance(size, int) else int(size[:-1] or "1") * self.n
 
-    def make(self, **values: Any) -> Record:
-        """A record of zeros but for these fields."""
+    def make(self, **values: ArrayLike) -> Record:
+        """A record of zeros but for ``values``, in the fields' shapes such as (n,) and
+        units such as rad.
+        """
         record: Record = self._class()
         for name, value in values.items():
             setattr(record, name, value)
         return record
 
     def of(self, numbers: Array) -> Record:
-        """The record whose numbers are in this array (size,)."""
+        """The record whose numbers are in this array (size,), in the fields' units such
+        as rad.
+        """
         record: Record = self._class(numbers)
         return record
 
-    def rows(self, **columns: Any) -> Array:
-        """(m, size) of many records: each field (m,), or (m, its size), a matrix column
-        by column; or one number for all.
+    def rows(self, **columns: ArrayLike) -> Array:
+        """Many records as a table (m, size), in the fields' units such as rad.
+
+        Args:
+            columns: of each field, (m,), or (m, k) where it has k numbers, a matrix
+                column by column; or one number for all.
         """
-        table = np.empty(
-            (
-                max(
-                    np.shape(column)[0]
-                    for column in columns.values()
-                    if np.ndim(column)
-                ),
-                self.size,
-            )
-        )
+        many = max(np.shape(one)[0] for one in columns.values() if np.ndim(one))
+        table = np.empty((many, self.size))
         for name, column in columns.items():
             table[:, self.places[name][0]] = column
         return table
 
     def indices(self, *names: str) -> NDArray[np.int64]:
-        """Where the numbers of these fields lie in the vector, rising."""
+        """The indices (k,), 1, of these fields' numbers in the vector, rising."""
         every = np.arange(self.size)
         return np.sort(
             np.concatenate(
@@ -177,12 +179,12 @@ class Layout:
         )
 
     def symbols(self, name: str = "") -> tuple[Symbol, dict[str, Symbol]]:
-        """(a vector of symbols, its fields by name)."""
+        """(a vector of symbols (size,), its fields by name)."""
         vector = ca.SX.sym(name or self.name, self.size)
         return vector, self.split(vector)
 
     def split(self, vector: Symbol) -> dict[str, Symbol]:
-        """The fields of a vector on symbols."""
+        """The fields, by name, of a vector on symbols (size,)."""
         parts = {}
         for name, (place, shape) in self.places.items():
             part = vector[place]
@@ -192,7 +194,7 @@ class Layout:
         return parts
 
     def join(self, fields: Mapping[str, Symbol | float]) -> Symbol:
-        """One vector on symbols of all fields."""
+        """The vector on symbols (size,) of all fields."""
         return ca.vertcat(
             *(ca.vec(ca.densify(ca.SX(fields[field.name]))) for field in self.fields)
         )

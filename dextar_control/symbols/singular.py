@@ -11,6 +11,8 @@ strong pairs and a weak one of its own, and A may lose k ranks at once.
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import mul
 from typing import NamedTuple
 
 import casadi as ca
@@ -51,9 +53,8 @@ def blocks(A: Symbol) -> list[Block]:
     """The blocks of a square matrix by its sparsity, in the order of their columns."""
     n, pattern = A.shape[0], A.sparsity()
     empty = ca.Sparsity(n, n)
-    graph = ca.vertcat(
-        ca.horzcat(empty, pattern), ca.horzcat(pattern.T, empty)
-    )  # of rows and columns, joined by an entry
+    # rows and columns are the nodes of a graph, entries its edges
+    graph = ca.vertcat(ca.horzcat(empty, pattern), ca.horzcat(pattern.T, empty))
     count, order, begins = graph.scc()
     parts = [sorted(order[begins[i] : begins[i + 1]]) for i in range(count)]
     found = [
@@ -64,7 +65,7 @@ def blocks(A: Symbol) -> list[Block]:
 
 
 def nearest(s: Symbol, values: Symbol) -> Symbol:
-    """Of one value a block that of the block whose s is least in size; both (k,)."""
+    """Of values (k,), one a block, that of the block whose s (k,) is least in size."""
     least, value = s[0], values[0]
     for i in range(1, s.shape[0]):
         nearer = ca.fabs(s[i]) < ca.fabs(least)
@@ -76,8 +77,8 @@ def nearest(s: Symbol, values: Symbol) -> Symbol:
 
 
 def singular_vectors(A: Symbol) -> SingularVectors:
-    """Of a square matrix (n, n); v_weak is oriented as the cofactors of its block's
-    last row.
+    """The singular vectors of a square matrix (n, n); v_weak is oriented as the
+    cofactors of its block's last row.
     """
     parts = blocks(A)
     if len(parts) == 1:
@@ -108,7 +109,7 @@ def singular_vectors(A: Symbol) -> SingularVectors:
 
 
 def _of_block(A: Symbol) -> SingularVectors:
-    """Of a matrix that is one block."""
+    """The singular vectors of a matrix that is one block."""
     n = A.shape[0]
     if n == 1:
         return SingularVectors(
@@ -125,13 +126,13 @@ def _of_block(A: Symbol) -> SingularVectors:
     columns = ca.horzcat(flip * columns[:, 0], columns[:, 1:])
     u_strong = columns @ ca.diag(1.0 / sigma_strong)
     u_weak = orthogonal(u_strong)
-    sigma_weak = ca.det(A) / _product(sigma_strong)
+    sigma_weak = ca.det(A) / reduce(mul, ca.vertsplit(sigma_strong))
     return SingularVectors(u_strong, sigma_strong, v_strong, u_weak, sigma_weak, v_weak)
 
 
 def orthogonal(columns: Symbol) -> Symbol:
-    """Unit vector (n,) orthogonal to n - 1 orthogonal unit columns, so that all n are a
-    rotation; the cross product for n = 3.
+    """The unit vector (n,) orthogonal to n - 1 orthogonal unit columns (n, n - 1), so
+    that all n are a rotation: the cross product for n = 3.
     """
     n = columns.shape[0]
     cofactors = []
@@ -141,15 +142,8 @@ def orthogonal(columns: Symbol) -> Symbol:
     return ca.vertcat(*cofactors)
 
 
-def _product(vector: Symbol) -> Symbol:
-    result = vector[0]
-    for i in range(1, vector.shape[0]):
-        result *= vector[i]
-    return result
-
-
 def _strong_right(A: Symbol) -> Symbol:
-    """(n, n - 1) right singular vectors but the weakest's."""
+    """The right singular vectors (n, n - 1) but the weakest."""
     n = A.shape[0]
     gram, V = A.T @ A, ca.SX.eye(n)
     for _ in range(1 if n == 2 else SWEEPS):
@@ -160,8 +154,6 @@ def _strong_right(A: Symbol) -> Symbol:
                 rotation[i, i] = rotation[j, j] = ca.cos(angle)
                 rotation[i, j], rotation[j, i] = -ca.sin(angle), ca.sin(angle)
                 gram, V = rotation.T @ gram @ rotation, V @ rotation
-    # each rotation leaves the larger of its two diagonal entries first, so the weakest
-    # may stand last but for its order:
     order = [(gram[i, i], V[:, i]) for i in range(n)]
     for place in range(n - 1):  # the smallest moves to the end
         (first, v_first), (second, v_second) = order[place], order[place + 1]

@@ -1,4 +1,4 @@
-"""Small functions on symbols that are finite whichever side they are on."""
+"""Small functions on symbols, finite with their derivatives on both sides."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ HUGE = 1e300
 
 
 def smooth_step(value: Symbol, low: Symbol | float, high: Symbol | float) -> Symbol:
-    """0 below low, 1 above high, a quintic with two zero derivatives at both ends
-    between; a step where high <= low.
+    """0 below low, 1 above high, and a quintic between whose first two derivatives
+    vanish at both ends; a step where high <= low.
     """
     width = high - low
     z = ca.fmin(ca.fmax((value - low) / ca.if_else(width > 0.0, width, 1.0), 0.0), 1.0)
@@ -28,6 +28,6 @@ def is_finite(values: Symbol) -> Symbol:
 
 
 def over(numerator: Symbol, denominator: Symbol) -> Symbol:
-    """A quotient, and 0 where the denominator is 0."""
+    """The quotient, and 0 where the denominator is 0."""
     nonzero = ca.fabs(denominator) > 0.0
     return ca.if_else(nonzero, numerator / ca.if_else(nonzero, denominator, 1.0), 0.0)

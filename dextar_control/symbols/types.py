@@ -1,6 +1,8 @@
-"""What numbers and symbols are."""
+"""The types of arrays and symbols."""
 
 from __future__ import annotations
+
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -8,3 +10,4 @@ from numpy.typing import NDArray
 
 Symbol = ca.SX
 Array = NDArray[np.float64]
+Slice: TypeAlias = "slice[int, int, None]"

@@ -11,12 +11,12 @@ from closed_loop import Run, drive, s_of, turn_round
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import Settings, default_settings
-from dextar_control.control.phases import LIMP, Phase
+from dextar_control.control.phases import WITHOUT_LAW, Phase
 from dextar_control.control.verdicts import Verdict
-from dextar_control.estimation.estimate import Pose
+from dextar_control.estimation.estimate import ExternalPosition
 from dextar_control.estimation.estimator import make_estimator
 from dextar_control.estimation.external import ExternalEstimator
-from dextar_control.estimation.out_of_sequence import LENGTH, Fate
+from dextar_control.estimation.out_of_sequence import LENGTH, PositionOutcome
 from dextar_control.estimation.records import REFERENCE
 from dextar_control.model.model import Model
 from dextar_control.planning.planner import Plan
@@ -63,7 +63,8 @@ def _replayed(
         seen = row - delay
         if 0 <= seen <= last and seen % 10 == 0:
             estimator.take_pose(
-                Pose(run.time[seen], run.x[seen] + noise[seen]), run.time[row]
+                ExternalPosition(run.time[seen], run.x[seen] + noise[seen]),
+                run.time[row],
             )
         estimator.track(PERIOD, run.q_a[row], tau, NO_REFERENCE, 0.0, 0.0)
         tau = run.tau[row]
@@ -81,7 +82,7 @@ def test_a_late_position_gives_what_one_in_time_gives(
     assert recorded.side[0] != recorded.side[last - 20]
     late = _replayed(robot, settings, recorded, last + delay + 1, delay, last)
     in_time = _replayed(robot, settings, recorded, last + delay + 1, 0, last)
-    assert late.fates == in_time.fates == {Fate.TAKEN: 40}
+    assert late.outcomes == in_time.outcomes == {PositionOutcome.TAKEN: 40}
     np.testing.assert_allclose(
         late.estimate.numbers, in_time.estimate.numbers, rtol=0.0, atol=EXACT
     )
@@ -102,7 +103,9 @@ def test_a_position_between_two_samples_is_taken_between_them(
     early, tau, tau_next = 0.4 * PERIOD, recorded.tau[299], recorded.tau[300]
     seen = recorded.x[299] + np.array([2e-4, -3e-4])
     ours.track(PERIOD, recorded.q_a[300], tau, NO_REFERENCE, 0.0, 0.0)
-    ours.take_pose(Pose(recorded.time[299] + early, seen), recorded.time[301])
+    ours.take_pose(
+        ExternalPosition(recorded.time[299] + early, seen), recorded.time[301]
+    )
     ours.track(PERIOD, recorded.q_a[301], tau_next, NO_REFERENCE, 0.0, 0.0)
     observer.predict(state, noise, tau, early)
     observer.correct_position(state, seen, settings.pose_deviation)
@@ -186,7 +189,7 @@ def test_a_bounce_is_seen_and_ends_safely(
     )
     assert run.side[-1] == 1.0
     assert run.loop.passed[0].verdict is Verdict.BOUNCED
-    assert run.loop.phase in LIMP
+    assert run.loop.phase in WITHOUT_LAW
     wrong = (run.mode != run.side) & (run.time > when + RECOGNITION)
     assert not wrong.any()
     sure_and_wrong = (run.mode != run.side) & (
@@ -216,7 +219,7 @@ def test_a_blow_that_neither_the_believed_motion_nor_its_image_explains_is_found
     )
     blind = drive(robot, trip, plant="cartesian", blow=blow, until=0.45)
     later = seen.time > when + RECOGNITION
-    assert seen.loop.estimator.fates[Fate.STRUCK] >= 1
+    assert seen.loop.estimator.outcomes[PositionOutcome.STRUCK] >= 1
     assert seen.estimate_error[later].max() < BETTER * blind.estimate_error[later].max()
 
 
@@ -263,9 +266,9 @@ def test_a_bumped_camera_is_refused_however_often_it_repeats_itself(
     )
     assert run.loop.phase is Phase.HOLD
     assert run.error.max() < NOMINAL_ERROR
-    fates = run.loop.estimator.fates
-    assert fates[Fate.TAKEN] == fates[Fate.SWAPPED] == 0
-    assert fates[Fate.JUMP] > 100
+    outcomes = run.loop.estimator.outcomes
+    assert outcomes[PositionOutcome.TAKEN] == outcomes[PositionOutcome.SWAPPED] == 0
+    assert outcomes[PositionOutcome.JUMP] > 100
     assert "mm from the estimate" in run.notes[1]
     assert "the limit is 6" in run.notes[1]
 
@@ -294,7 +297,7 @@ class Standing:
     def look(self, age: float, x: np.ndarray | None = None) -> str:
         self.time += PERIOD
         self.estimator.take_pose(
-            Pose(self.time - age, self.x if x is None else x), self.time
+            ExternalPosition(self.time - age, self.x if x is None else x), self.time
         )
         self.estimator.coast(PERIOD, self.q_a, np.zeros(2))
         return self.estimator.note
@@ -306,15 +309,15 @@ class Standing:
         (
             -0.002,
             None,
-            Fate.FUTURE,
+            PositionOutcome.FUTURE,
             (
                 "external position of 100.053000 s is 2.000 ms ahead of the state at"
                 " 100.051000 s"
             ),
         ),
-        (0.01, [np.nan, 0.1], Fate.NOT_FINITE, "is not finite"),
-        (np.inf, None, Fate.NOT_FINITE, "is not finite"),
-        (0.01, [0.02, 0.11], Fate.JUMP, "mm from the estimate, "),
+        (0.01, [np.nan, 0.1], PositionOutcome.NOT_FINITE, "is not finite"),
+        (np.inf, None, PositionOutcome.NOT_FINITE, "is not finite"),
+        (0.01, [0.02, 0.11], PositionOutcome.JUMP, "mm from the estimate, "),
     ],
 )
 def test_a_position_that_cannot_be_is_refused_with_its_numbers(
@@ -322,16 +325,16 @@ def test_a_position_that_cannot_be_is_refused_with_its_numbers(
     settings: Settings,
     age: float,
     x: list[float] | None,
-    fate: Fate,
+    fate: PositionOutcome,
     text: str,
 ) -> None:
     standing = Standing(robot, settings)
     before = standing.estimator.estimate.numbers.copy()
     assert text in standing.look(age, None if x is None else np.array(x))
-    assert standing.estimator.fates == {fate: 1}
+    assert standing.estimator.outcomes == {fate: 1}
     np.testing.assert_allclose(standing.estimator.estimate.numbers, before, atol=1e-9)
     assert standing.look(0.001) == ""
-    assert standing.estimator.fates[Fate.TAKEN] == 1
+    assert standing.estimator.outcomes[PositionOutcome.TAKEN] == 1
 
 
 def test_a_position_out_of_order_is_refused(
@@ -345,7 +348,10 @@ def test_a_position_out_of_order_is_refused(
         " 100.041000 s"
     )
     assert standing.look(0.012) == ""
-    assert standing.estimator.fates == {Fate.TAKEN: 2, Fate.OUT_OF_ORDER: 1}
+    assert standing.estimator.outcomes == {
+        PositionOutcome.TAKEN: 2,
+        PositionOutcome.OUT_OF_ORDER: 1,
+    }
 
 
 def test_a_position_older_than_what_is_kept_is_refused(
@@ -354,9 +360,9 @@ def test_a_position_older_than_what_is_kept_is_refused(
     standing = Standing(robot, settings)
     standing.wait(LENGTH)
     assert "is 170.0 ms old; the last 159.0 ms are kept" in standing.look(0.17)
-    assert standing.estimator.fates == {Fate.TOO_OLD: 1}
+    assert standing.estimator.outcomes == {PositionOutcome.TOO_OLD: 1}
     assert standing.look(0.15) == "external positions are back after 0.210 s"
-    assert standing.estimator.fates[Fate.TAKEN] == 1
+    assert standing.estimator.outcomes[PositionOutcome.TAKEN] == 1
 
 
 def test_a_position_from_before_the_first_sample_is_passed_over_in_silence(
@@ -364,7 +370,7 @@ def test_a_position_from_before_the_first_sample_is_passed_over_in_silence(
 ) -> None:
     standing = Standing(robot, settings)
     assert standing.look(0.08) == ""
-    assert standing.estimator.fates == {Fate.EARLY: 1}
+    assert standing.estimator.outcomes == {PositionOutcome.EARLY: 1}
 
 
 def test_the_same_complaint_is_made_once_in_a_row(
@@ -402,7 +408,10 @@ def test_one_blunder_at_the_mirror_image_moves_nothing(
     for _ in range(5):
         standing.look(0.0)
     standing.look(0.0, image)
-    assert standing.estimator.fates == {Fate.TAKEN: 5, Fate.AGAINST: 1}
+    assert standing.estimator.outcomes == {
+        PositionOutcome.TAKEN: 5,
+        PositionOutcome.AGAINST: 1,
+    }
     assert standing.estimator.estimate.assembly_mode == 1.0
     standing.look(0.0)
     assert standing.estimator.mode_known

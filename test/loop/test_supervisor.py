@@ -23,7 +23,7 @@ from dextar_control.contract.resources import NODES_FILE, config_file
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
-from dextar_control.control.phases import LIMP, Phase
+from dextar_control.control.phases import WITHOUT_LAW, Phase
 from dextar_control.control.supervisor import WATCHES
 from dextar_control.nodes.controller import PARAMETERS
 from dextar_control.planning.checks import certify
@@ -88,7 +88,7 @@ def drive(
         for sample, tau in running(loop, rig, until=until, seen=as_seen):
             if push is not None:
                 rig.strike(rig.period * np.asarray(push(sample.time)))
-            if loop.phase in LIMP:
+            if loop.phase in WITHOUT_LAW:
                 rig.write(tau)
                 break
             for name, (value, limit) in loop.watches.items():

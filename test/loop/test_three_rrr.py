@@ -32,7 +32,7 @@ from dextar_control.planning.planner import (
     plan_return_trip_through,
     plan_through,
 )
-from dextar_control.planning.search import Criterion
+from dextar_control.planning.search import CrossingCriterion
 
 BOX = [-0.12, -0.12, -0.1], [0.12, 0.12, 0.1]  # m
 PLACES = [0.02, 0.07, -0.03], [-0.0417, -0.005, -0.037]  # m, near which it crosses
@@ -153,7 +153,7 @@ def test_the_planned_torque_is_an_independent_engines(
 
 def test_with_no_wrench_on_the_platform_it_is_planned_too(three_rrr: Robot) -> None:
     place = nearest_point(three_rrr, np.array(PLACES[0]))
-    plan = plan_through(three_rrr, place, 1, criterion=Criterion.ZERO_WRENCH)
+    plan = plan_through(three_rrr, place, 1, criterion=CrossingCriterion.ZERO_WRENCH)
     point, model = (
         plan.trajectory.at(plan.certificate.crossing_times[0]),
         Model.of(three_rrr),

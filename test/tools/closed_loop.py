@@ -14,7 +14,7 @@ from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import Phase
-from dextar_control.estimation.estimate import Pose
+from dextar_control.estimation.estimate import ExternalPosition
 from dextar_control.model.model import Model
 from dextar_control.planning.planner import Plan
 from dextar_sim.rig import ControllerInput, Rig
@@ -88,7 +88,11 @@ def running(
         if not np.isfinite(sample.q_a).all():
             return
         shown = seen(sample)
-        pose = None if shown.pose is None else Pose(shown.pose.time, shown.pose.x)
+        pose = (
+            None
+            if shown.pose is None
+            else ExternalPosition(shown.pose.time, shown.pose.x)
+        )
         tau = loop.step(shown.time, shown.q_a, pose)
         yield Moment(sample, tau)
         rig.write(tau)

@@ -23,7 +23,7 @@ from dextar_control.analysis.tracking import tracked
 from dextar_control.cli import main as cli
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
-from dextar_control.control.phases import LIMP
+from dextar_control.control.phases import WITHOUT_LAW
 from dextar_control.planning.planner import plan_return_trip
 from dextar_sim.rig import Rig
 
@@ -47,7 +47,7 @@ def driven() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
     rows, longest = [], 0.0
     for k, (sample, tau) in enumerate(running(loop, rig, count=1400)):
         rows.append((round(sample.time * 1e9), sample.q_a, loop.tick, tau))
-        if loop.phase not in LIMP:
+        if loop.phase not in WITHOUT_LAW:
             for name, (value, limit) in loop.watches.items():
                 if limit == 0.0:  # where it does not bind
                     continue

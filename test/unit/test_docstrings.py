@@ -19,29 +19,7 @@ UNIT = re.compile(
     r"(?<![\w.|])(?:rad|m|mm|s|ms|ns|kg|N|J|W|Hz|px|points|counts?|units?)(?![\w(])|, 1\b"
 )
 # files whose docstrings still lack some: the list only gets shorter
-UNFINISHED = {
-    "dextar_control/control/phases.py",
-    "dextar_control/control/timing.py",
-    "dextar_control/estimation/direct.py",
-    "dextar_control/estimation/joint_filter.py",
-    "dextar_control/estimation/observer.py",
-    "dextar_control/estimation/observing.py",
-    "dextar_control/estimation/out_of_sequence.py",
-    "dextar_control/mechanisms/five_bar.py",
-    "dextar_control/mechanisms/five_bar_locus.py",
-    "dextar_control/mechanisms/mechanism.py",
-    "dextar_control/model/model.py",
-    "dextar_control/model/regressor.py",
-    "dextar_control/planning/locus.py",
-    "dextar_control/planning/model.py",
-    "dextar_control/planning/planner.py",
-    "dextar_control/planning/profile.py",
-    "dextar_control/planning/regions.py",
-    "dextar_control/planning/regular.py",
-    "dextar_control/planning/search.py",
-    "dextar_control/planning/trajectory.py",
-    "dextar_control/symbols/record.py",
-}
+UNFINISHED = {}
 WITHOUT_UNIT = re.compile(r"NDArray\[np\.(?:bool_|intp)\]")
 SOURCES = {
     path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")

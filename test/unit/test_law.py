@@ -19,7 +19,7 @@ from dextar_control.control.law import OUTPUT, law_of
 from dextar_control.estimation.records import ESTIMATE, REFERENCE
 from dextar_control.model.model import Model
 from dextar_control.planning.planner import Plan, plan_return_trip
-from dextar_control.planning.search import Criterion
+from dextar_control.planning.search import CrossingCriterion
 from dextar_control.symbols.functions import Fast
 from dextar_control.symbols.record import Layout, Record
 
@@ -151,7 +151,7 @@ def zero_wrench(robot: RobotParameters) -> Bench:
     return Bench(
         robot,
         plan_return_trip(
-            robot, start, goal, 0.33, 0.2, criterion=Criterion.ZERO_WRENCH
+            robot, start, goal, 0.33, 0.2, criterion=CrossingCriterion.ZERO_WRENCH
         ),
     )
 

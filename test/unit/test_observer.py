@@ -18,7 +18,7 @@ from scipy.stats import chi2
 from dextar_control import estimation
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
-from dextar_control.control.phases import LIMP, Phase
+from dextar_control.control.phases import WITHOUT_LAW, Phase
 from dextar_control.control.verdicts import Verdict
 from dextar_control.estimation.belief import Belief
 from dextar_control.estimation.observer import REST_SPEED, Observer
@@ -314,7 +314,7 @@ def test_a_robot_that_is_turned_round_is_known_for_one(
     run = drive(robot, trip, plant=plant, blow=turn_round(robot, trip, when, 0.8))
     assert run.side[-1] == 1.0
     assert run.loop.passed[0].verdict is Verdict.BOUNCED
-    assert run.loop.phase in LIMP
+    assert run.loop.phase in WITHOUT_LAW
     assert run.mode[-1] == 1.0
     assert run.estimate_error[-1] < 1e-3
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from crossing_polynomial import crossing_polynomial
 from oracle import Oracle
+from planner_bench import answer, random_requests
 
 from dextar_control.contract.errors import DextarError, GeometryError, TrajectoryError
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.planning.bench import answer, random_requests
 from dextar_control.planning.candidate import layouts
 from dextar_control.planning.certificate import Certificate, measure
 from dextar_control.planning.checks import certify
@@ -31,7 +31,7 @@ from dextar_control.planning.locus import (
 )
 from dextar_control.planning.model import planning_model
 from dextar_control.planning.planner import (
-    Criterion,
+    CrossingCriterion,
     Plan,
     plan_approach,
     plan_crossing,
@@ -311,12 +311,12 @@ def test_zero_wrench_plans_have_no_wrench_at_the_crossing_and_others_none_along_
 ) -> None:
     for point in points[::3]:
         at = robot_at(robot, point)
-        for wanted in Criterion:
+        for wanted in CrossingCriterion:
             plan = plan_through(at, point, 1, 0.4, criterion=wanted)
             w_d = _wrench(at, plan.trajectory, plan.certificate.crossings[0].time)
             scale = MASS_FORCE + 2e-3 * np.abs(_wrench(at, plan.trajectory, 0.1)).max()
             assert abs(w_d @ point.t_s) < scale
-            if wanted is Criterion.ZERO_WRENCH:
+            if wanted is CrossingCriterion.ZERO_WRENCH:
                 assert np.abs(w_d).max() < scale
 
 
@@ -370,7 +370,9 @@ def test_the_searchs_gradient_is_that_of_its_cost_and_both_are_finite_everywhere
     for point in points:
         at = robot_at(uneven, point)
         names = [field.name for field in layouts(2).crossing.fields]
-        problem = crossing_problem(at, point, 1.0, 0.4, Criterion.RECIPROCAL, names)
+        problem = crossing_problem(
+            at, point, 1.0, 0.4, CrossingCriterion.RECIPROCAL, names
+        )
         left, reached = generator.normal(0.0, 0.1, (2, 2, 4))
         leg = leg_problem(at, left, reached, 1.0, 0.4)
         for asked, spread in itertools.product((problem, leg), (0.1, 0.5, 3.0)):

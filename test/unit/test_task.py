@@ -14,7 +14,7 @@ from dextar_control.contract.topics import MAX_TRAJECTORY_POINTS
 from dextar_control.nodes.task import MOST_LINES, Task, in_words, plan_from
 from dextar_control.nodes.trajectory_server import COARSEST, served_times
 from dextar_control.planning.checks import certify
-from dextar_control.planning.planner import PLAN_RESIDUAL, Criterion, Plan
+from dextar_control.planning.planner import PLAN_RESIDUAL, CrossingCriterion, Plan
 from dextar_control.planning.trajectory import join
 
 STRETCHED = (
@@ -98,7 +98,7 @@ def test_a_tour_of_given_points_begins_in_a(robot: RobotParameters) -> None:
         criterion="zero_wrench",
     )
     task = Task.from_values(values)
-    assert (task.duration, task.criterion) == (None, Criterion.ZERO_WRENCH)
+    assert (task.duration, task.criterion) == (None, CrossingCriterion.ZERO_WRENCH)
     plan = Task.from_values(values | {"criterion": "reciprocal"}).plan(robot)
     np.testing.assert_allclose(plan.trajectory.at(0.0).x, values["task.start"])
     assert len(plan.certificate.crossings) == 2

@@ -21,16 +21,20 @@ from dextar_control.contract.settings import ESTIMATORS as ESTIMATORS
 from dextar_control.contract.settings import LAWS as LAWS
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
-from dextar_control.control.phases import LIMP, Phase
+from dextar_control.control.phases import WITHOUT_LAW, Phase
 from dextar_control.control.verdicts import Verdict
-from dextar_control.estimation.estimate import Pose
+from dextar_control.estimation.estimate import ExternalPosition
 from dextar_control.experiments.campaign.rig import RigInterface, RigMaker
 from dextar_control.experiments.campaign.rows import Row
 from dextar_control.experiments.campaign.self_calibration import calibrated_description
 from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.checks import clear_times
 from dextar_control.planning.locus import locus_point, nearest_point, sample_locus
-from dextar_control.planning.planner import Criterion, Plan, plan_return_trip_through
+from dextar_control.planning.planner import (
+    CrossingCriterion,
+    Plan,
+    plan_return_trip_through,
+)
 from dextar_control.symbols.types import Array
 
 if TYPE_CHECKING:
@@ -103,7 +107,7 @@ def sample_points(
         CrossingPoint(
             (float(place.x[0]), float(place.x[1])),
             (int(place.working_mode[0]), int(place.working_mode[1])),
-            place.family.name.lower(),
+            place.family.name.lower() if place.family else "",
         )
         for place in sample_locus(robot, count, seed, folded=folded)
     ]
@@ -217,7 +221,9 @@ def plan_trial(robot: RobotParameters, trial: Trial) -> Plan:
 def _plan_for(robot: RobotParameters, trial: Trial) -> Plan:
     """Plan the trip for a robot as the controller knows it."""
     criterion = (
-        Criterion.ZERO_WRENCH if trial.law == "multi_model" else Criterion.RECIPROCAL
+        CrossingCriterion.ZERO_WRENCH
+        if trial.law == "multi_model"
+        else CrossingCriterion.RECIPROCAL
     )
     return _planned(
         robot,
@@ -238,7 +244,7 @@ def _planned(
     duration: float,
     dwell: float,
     repeat: int,
-    criterion: Criterion,
+    criterion: CrossingCriterion,
 ) -> Plan:
     place = locus_point(robot, np.array(point))
     return plan_return_trip_through(
@@ -439,12 +445,14 @@ def _drive(
         sample, truth = rig.read(), rig.truth()
         if sample is not None:
             pose = (
-                None if sample.pose is None else Pose(sample.pose.time, sample.pose.x)
+                None
+                if sample.pose is None
+                else ExternalPosition(sample.pose.time, sample.pose.x)
             )
             tau = loop.step(sample.time, sample.q_a, pose)
             x_ref = loop.tick.x_ref if loop.tick is not None else start
             began = sample.time if math.isnan(began) else began
-        limp.append(loop.phase in LIMP)
+        limp.append(loop.phase in WITHOUT_LAW)
         if (
             sample is None or limp[index]
         ) and began <= index * period:  # the trip goes on without sample or robot
@@ -557,7 +565,7 @@ def _judge(loop: ControlLoop, log: Log, bounced: bool) -> Row:
             loop.phase is Phase.HOLD and bool(log.s[-1] * log.s_ref[-1] < 0.0)
         ),
         "wrong_side_time": float(wrong.sum() * (log.time[1] - log.time[0])),
-        "stopped_after_crossing": crossed[0] and loop.phase in LIMP,
+        "stopped_after_crossing": crossed[0] and loop.phase in WITHOUT_LAW,
         "recognised": None,
         **_stated_confidences(log),
     }
@@ -603,7 +611,9 @@ def _on_side(log: Log, time_of_verdict: float, sign: float) -> bool:
 def _reason(loop: ControlLoop, crossed: list[bool], error: Array) -> str:
     if not all(crossed):
         first = crossed.index(False) + 1
-        ended = f"; {loop.phase.name}: {loop.reason}" if loop.phase in LIMP else ""
+        ended = (
+            f"; {loop.phase.name}: {loop.reason}" if loop.phase in WITHOUT_LAW else ""
+        )
         return f"crossing {first} of {len(crossed)} did not happen{ended}"
     if loop.phase is not Phase.HOLD:
         return f"{loop.phase.name}: {loop.reason}"

@@ -1,5 +1,5 @@
-"""How often and how fast random requests are planned: ``python -m
-dextar_control.planning.bench 200``.
+"""How often and how fast random requests are planned: ``python
+test/studies/planner_bench.py 200``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ DURATIONS = (0.3, 0.6)  # s
 OPEN_SHARE = 0.25  # of the requests that leave their duration open
 
 
-class Request(NamedTuple):
+class RandomRequest(NamedTuple):
     """A random request: two places on the two sides in one working mode."""
 
     robot: RobotParameters
@@ -36,19 +36,21 @@ class Request(NamedTuple):
 class Answer(NamedTuple):
     """What became of a request."""
 
-    request: Request
+    request: RandomRequest
     time: float  # s it took
     peak_torque: float  # N m; nan when refused
     refusal: str  # empty when planned
 
 
-def random_requests(robot: RobotParameters, count: int, seed: int = 0) -> list[Request]:
+def random_requests(
+    robot: RobotParameters, count: int, seed: int = 0
+) -> list[RandomRequest]:
     """Places drawn evenly from the workspace until both are clear of Type 1 and Type 2
     and on two sides.
     """
     generator = np.random.default_rng(seed)
     reach = planning_model(robot).workspace[1][1]
-    requests: list[Request] = []
+    requests: list[RandomRequest] = []
     while len(requests) < count:
         at = robot.replace(
             working_mode=WORKING_MODES[generator.integers(len(WORKING_MODES))]
@@ -63,11 +65,11 @@ def random_requests(robot: RobotParameters, count: int, seed: int = 0) -> list[R
             if generator.uniform() < OPEN_SHARE
             else float(generator.uniform(*DURATIONS))
         )
-        requests.append(Request(at, places[0], places[1], duration))
+        requests.append(RandomRequest(at, places[0], places[1], duration))
     return requests
 
 
-def answer(request: Request) -> Answer:
+def answer(request: RandomRequest) -> Answer:
     """Plan a request."""
     begin, peak, refusal = time.perf_counter(), float("nan"), ""
     try:
