@@ -43,7 +43,11 @@ def measure() -> dict[str, dict[str, float]]:
     values = node_defaults("plant", config_file(NODES_FILE))
     robot = load_robot(config_file(ROBOT_FILE))
     ours, bare = (
-        Plant(robot, period=values["task.sample_period"], substeps=values["substeps"])
+        Plant(
+            robot,
+            period=values["task.sample_period"],
+            substeps=values["simulation.substeps"],
+        )
         for _ in range(2)
     )
     world.set_step(bare._client, bare.period / bare.substeps)

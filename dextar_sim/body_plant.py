@@ -16,12 +16,11 @@ from dextar_control.contract.errors import GeometryError, ParameterError
 from dextar_control.mechanisms.bodies import Bodies
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.symbols.functions import Fast
-from dextar_control.symbols.types import Array
+from dextar_control.symbols.types import Array, Numbers
 from dextar_sim import world
 from dextar_sim.effects import JointEffects
 from dextar_sim.state import (
     Motor,
-    Numbers,
     PlantState,
     check_steps,
     saturated,

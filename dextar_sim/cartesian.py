@@ -10,7 +10,7 @@ import numpy as np
 
 from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.symbols.types import Array
+from dextar_control.symbols.types import Array, Numbers
 from dextar_sim.effects import (
     NO_EFFECTS,
     Effects,
@@ -20,7 +20,7 @@ from dextar_sim.effects import (
 )
 from dextar_sim.geometry import FiveBarPlacing, joints_dot_at, tip_of
 from dextar_sim.platform_motion import PlatformMotion
-from dextar_sim.state import Numbers, PlantState, check_steps, leg_motors, saturated
+from dextar_sim.state import PlantState, check_steps, leg_motors, saturated
 
 _LEAST_SINE = 0.01
 """|sin delta| of a leg outside the coordinates below which the motion is not followed:

@@ -7,8 +7,9 @@ from __future__ import annotations
 import math
 
 from dextar_control.contract.errors import ParameterError
+from dextar_control.symbols.types import Numbers
 from dextar_sim.sensors import check_nonnegative
-from dextar_sim.state import AnyPlant, Numbers
+from dextar_sim.state import AnyPlant
 
 
 class Disturbances:

@@ -25,11 +25,11 @@ from dextar_control.symbols.functions import (
     in_place,
     named,
 )
-from dextar_control.symbols.types import Array
+from dextar_control.symbols.types import Array, Numbers
 from dextar_sim.drive import DRIVE, MEMORY, drive_step
 from dextar_sim.friction import ELEMENTS, bristle_of, friction_torque
 from dextar_sim.sensors import check_nonnegative
-from dextar_sim.state import Motor, Numbers, check_steps, proximal_inertia
+from dextar_sim.state import Motor, check_steps, proximal_inertia
 
 FRICTIONS = "stick", "smooth"
 ENCODERS = "motor", "link"
@@ -46,7 +46,7 @@ class Effects:
     motor.
 
     Each field is the plant's parameter of its name, with its meaning and unit; see
-    ``parameters.PARAMETERS``.
+    ``contract.node_parameters.PLANT``.
     """
 
     friction: str = "stick"

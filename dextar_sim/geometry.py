@@ -11,7 +11,8 @@ import math
 
 from dextar_control.contract.errors import GeometryError
 from dextar_control.contract.robot import LegParameters, RobotParameters
-from dextar_sim.state import Numbers, PlantState
+from dextar_control.symbols.types import Numbers
+from dextar_sim.state import PlantState
 
 Point = tuple[float, float]
 _SIDES = ("left", "right")

@@ -23,9 +23,9 @@ from dextar_control.contract.topics import (
 )
 from dextar_control.nodekit.cdr import from_time
 from dextar_control.nodekit.layouts import template
-from dextar_control.symbols.types import Array
+from dextar_control.symbols.types import Array, Numbers
 from dextar_sim.sensors import Acknowledgement, TorqueCommand
-from dextar_sim.state import Numbers, PlantState
+from dextar_sim.state import PlantState
 
 
 class StateWriter:

@@ -17,7 +17,6 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +31,7 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.errors import ParameterError, StateError
+from dextar_control.contract.node_parameters import PARAMETERS
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import (
     CLOCK,
@@ -50,7 +50,6 @@ from dextar_control.symbols.types import Array
 from dextar_sim.commanders import SPEAKING, CommanderArbiter
 from dextar_sim.messages import CommandReader, StateWriter, read_efforts
 from dextar_sim.pace import Schedule, cycle, keeping_pace
-from dextar_sim.parameters import PARAMETERS
 from dextar_sim.sensors import (
     Acknowledgement,
     CommandDelay,
@@ -96,7 +95,7 @@ class PlantNode(DextarNode):
     """
 
     NAME = "plant"
-    PARAMETERS = PARAMETERS
+    PARAMETERS = PARAMETERS[NAME]
 
     def __init__(self, *, cli_args: list[str] | None = None) -> None:
         # here: --help needs no physics
@@ -109,7 +108,7 @@ class PlantNode(DextarNode):
         period = values["task.sample_period"]
         self.period_ns: int = round(period * NANOSECONDS)
         self.lockstep = values["mode"] == "lockstep"
-        pace = values["real_time_factor"] if self.lockstep else 1.0
+        pace = values["simulation.real_time_factor"] if self.lockstep else 1.0
         self.paced = pace > 0.0
         self._arrays = values["command_interface"] == "effort_array"
         if self._arrays and self.lockstep:
@@ -117,14 +116,20 @@ class PlantNode(DextarNode):
                 "parameter 'command_interface' = 'effort_array'; in mode lockstep it"
                 " must be joint_state: an array does not say which state it answers"
             )
-        max_torque = values["max_torque"] or self.robot.max_torque
+        max_torque = values["drive.max_torque"] or self.robot.max_torque
         effects = Effects(
-            **{field.name: values[field.name] for field in fields(Effects)}
+            friction=values["mechanics.friction"],
+            encoder_at=values["encoder.side"],
+            backlash=values["mechanics.backlash"],
+            cogging=values["drive.cogging"],
+            cogging_periods=values["drive.cogging_periods"],
+            drive_lag=values["drive.lag"],
+            torque_step=values["drive.torque_step"],
         )
         self.plant = Plant(
             self.robot,
             period=period,
-            substeps=values["substeps"],
+            substeps=values["simulation.substeps"],
             window=values["window"],
             max_torque=max_torque,
             effects=effects,
@@ -132,38 +137,35 @@ class PlantNode(DextarNode):
         self.plant.reset(values["task.start"])
         self._encoder = Encoder(
             period,
-            resolution=values["encoder_resolution"],
+            resolution=values["encoder.resolution"],
             seed=values["seed"],
-            velocity_cutoff=values["velocity_cutoff"],
-            position_noise=values["position_noise"],
+            velocity_cutoff=values["encoder.velocity_cutoff"],
+            position_noise=values["encoder.noise"],
             offset=self.robot.encoder_offset,
-            homing_error=values["homing_error"],
-            eccentricity=values["eccentricity"],
+            homing_error=values["encoder.homing_error"],
+            eccentricity=values["encoder.eccentricity"],
         )
-        self._stamp_error = StampError(values["stamp_error"], period, values["seed"])
+        self._stamp_error = StampError(
+            values["encoder.stamp_error"], period, values["seed"]
+        )
         self._disturbances = Disturbances(
-            **{
-                name: values[name]
-                for name in (
-                    "payload",
-                    "payload_time",
-                    "push",
-                    "push_time",
-                    "push_duration",
-                )
-            }
+            payload=values["payload.mass"],
+            payload_time=values["payload.time"],
+            push=values["push.force"],
+            push_time=values["push.time"],
+            push_duration=values["push.duration"],
         )
         self._camera = PoseSensor(
             period,
-            rate=values["pose_rate"],
-            delay=values["pose_delay"],
-            noise=values["pose_noise"],
+            rate=values["external_pose.rate"],
+            delay=values["external_pose.delay"],
+            noise=values["external_pose.noise"],
             seed=values["seed"],
         )
         self._delay: CommandDelay[TorqueCommand] = CommandDelay(
-            round(values["command_delay"] / period)
+            round(values["drive.command_delay"] / period)
         )
-        self._command_timeout = round(values["command_timeout"] * NANOSECONDS)
+        self._command_timeout = round(values["drive.command_timeout"] * NANOSECONDS)
         self._hold = CommandHold(self._command_timeout, max_torque)
         self.schedule = Schedule(
             round(self.period_ns / pace) if self.paced else self.period_ns
@@ -182,7 +184,7 @@ class PlantNode(DextarNode):
         self._sent_at = self._published_at = 0.0
         self.answered = False
         self._commanded = False
-        self._budget: int | None = 0 if values["start_paused"] else None
+        self._budget: int | None = 0 if values["simulation.start_paused"] else None
         self.counts = dict.fromkeys(
             (
                 "commands_received",
@@ -208,14 +210,14 @@ class PlantNode(DextarNode):
         )
         self._poses = (
             self.create_publisher(PoseStamped, EXTERNAL_POSE.name, qos(EXTERNAL_POSE))
-            if values["pose_rate"]
+            if values["external_pose.rate"]
             else None
         )
         self._description = self.create_publisher(
             String, ROBOT_DESCRIPTION.name, qos(ROBOT_DESCRIPTION)
         )
         self._description.publish(String(data=urdf_of(self.robot)))
-        rate = values["clock_rate"] if self.lockstep else 0.0
+        rate = values["simulation.clock_rate"] if self.lockstep else 0.0
         self._time = (
             self.create_publisher(Clock, CLOCK.name, qos(CLOCK)) if rate else None
         )
@@ -332,7 +334,7 @@ class PlantNode(DextarNode):
             self._pose = seen and self._writer.external_pose(
                 self._first_stamp + seen.sample * self.period_ns, seen.x
             )
-        if self.values["publish_truth"]:
+        if self.values["publish.truth"]:
             self._sample.append(
                 (self._true_platform, self._writer.true_end_effector(stamp, state))
             )
@@ -484,7 +486,7 @@ class PlantNode(DextarNode):
             response.success = False
             response.message = f"not paused; call {pause} with data true first"
             return response
-        count = self.values["step_count"]
+        count = self.values["simulation.step_count"]
         self._budget += count
         response.success, response.message = True, f"stepping {count} samples"
         return response

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.mechanisms import mechanism_named
+from dextar_control.symbols.types import Numbers
 from dextar_sim.body_plant import BodyPlant
 from dextar_sim.effects import (
     NO_EFFECTS,
@@ -15,7 +16,7 @@ from dextar_sim.effects import (
     without_rotors,
 )
 from dextar_sim.geometry import FiveBarPlacing, joints_dot_at
-from dextar_sim.state import Numbers, PlantState
+from dextar_sim.state import PlantState
 from dextar_sim.urdf import bodies_of, urdf
 
 FIVE_BAR = mechanism_named("five_bar")

@@ -31,8 +31,8 @@ import numpy as np
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.symbols.functions import Library, cache_folder, named
 from dextar_control.symbols.record import Field, Layout
-from dextar_control.symbols.types import Array, Symbol
-from dextar_sim.state import Numbers, state_layout
+from dextar_control.symbols.types import Array, Numbers, Symbol
+from dextar_sim.state import state_layout
 
 _OWN_SINE = 0.2
 """|sin delta| below which a leg's own angles are the coordinates; at 100 rad/s it turns

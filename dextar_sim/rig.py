@@ -17,7 +17,7 @@ import numpy as np
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.symbols.types import Array
+from dextar_control.symbols.types import Array, Numbers
 from dextar_sim.cartesian import CartesianPlant
 from dextar_sim.disturbances import Disturbances
 from dextar_sim.effects import Effects
@@ -31,7 +31,7 @@ from dextar_sim.sensors import (
     TorqueCommand,
     check_probability,
 )
-from dextar_sim.state import AnyPlant, Numbers, PlantState
+from dextar_sim.state import AnyPlant, PlantState
 
 PLANTS: dict[str, type[Plant] | type[CartesianPlant]] = {
     "pybullet": Plant,

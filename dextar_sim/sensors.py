@@ -14,8 +14,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from dextar_control.contract.errors import ParameterError
-from dextar_control.symbols.types import Array
-from dextar_sim.state import Numbers
+from dextar_control.symbols.types import Array, Numbers
 
 Item = TypeVar("Item")
 

@@ -7,16 +7,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import NamedTuple, Protocol
 
 from dextar_control.contract.errors import ParameterError, StateError
 from dextar_control.contract.robot import LegParameters, RobotParameters
 from dextar_control.symbols.record import Field, Layout, Record
-from dextar_control.symbols.types import Array
-
-Numbers: TypeAlias = "Sequence[float] | Array"
-"""A few numbers, as plants take them."""
-
+from dextar_control.symbols.types import Array, Numbers
 
 _FRICTION_STABILITY = 1.0
 """Share of a joint's speed that friction may take away in one substep; beyond 2 it

@@ -7,6 +7,9 @@ import math
 import os
 from collections.abc import Iterable
 
+from dextar_control.analysis.crossings import CROSSING_METRICS
+from dextar_control.analysis.metrics import METRICS
+from dextar_control.analysis.registry import Metric
 from dextar_control.cli.main import parser
 from dextar_control.contract import resources
 from dextar_control.contract.help import first_paragraph, rate
@@ -230,6 +233,14 @@ def ranges(title: str, numbers: dict[str, Range]) -> str:
     return table((title, "what it is", "range"), rows)
 
 
+def metrics(every: dict[str, Metric]) -> str:
+    """The numbers of a run or of a crossing, as ``metrics.json`` has them."""
+    rows = (
+        [code(key), one.name, one.unit, one.definition] for key, one in every.items()
+    )
+    return table(("key", "name", "unit", "definition"), rows)
+
+
 def commands() -> str:
     """Every command of ``dextar`` with its help, of a terminal of 80 columns."""
     os.environ["COLUMNS"] = "80"
@@ -257,6 +268,8 @@ def tables() -> dict[str, str]:
         "perturbations": ranges("perturbation", PERTURBATIONS),
         "bars": ranges("bar", BARS),
         "robot_keys": robot_keys(),
+        "metrics": metrics(METRICS),
+        "crossing_metrics": metrics(CROSSING_METRICS),
         **{
             f"parameters_{name}": parameters(name, node_class(name).PARAMETERS)
             for name in NODES

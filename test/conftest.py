@@ -56,8 +56,8 @@ def _between_a_and_b(robot: RobotParameters, duration: float | None = None) -> P
         robot,
         np.array(task["task.start"]),
         np.array(task["task.goal"]),
-        duration or task["duration"],
-        task["dwell"],
+        duration or task["task.duration"],
+        task["task.dwell"],
     )
 
 

@@ -172,7 +172,7 @@ def find_ffmpeg() -> str:
 
 
 class _Scene:
-    """The figure; ``show`` moves what moves.
+    """A figure whose moving parts ``show`` moves.
 
     What stands still is drawn once and lies under the rest as an image: a frame then
     takes a tenth of the time.
@@ -198,11 +198,11 @@ class _Scene:
             [], [], **look.line(LINKS, marker="o", markersize=6, alpha=0.85)
         )
         (self._t_s,) = moving[0].plot([], [], **look.line(T_S))
-        self._arcs = [
-            moving[0].plot([], [], **look.line(ARC))[0] for _ in motion.torque.T
-        ]
-        self._heads = [
-            moving[0].plot([], [], **look.line(ARC, marker="o", markersize=6))[0]
+        self._torques = [
+            tuple(
+                moving[0].plot([], [], **drawn)[0]
+                for drawn in (look.line(ARC), look.line(ARC, marker="o", markersize=6))
+            )
             for _ in motion.torque.T
         ]
         self._cursors = [
@@ -217,7 +217,7 @@ class _Scene:
         )
 
     def _over(self, axes: Axes) -> Axes:
-        """Empty axes in the place of others."""
+        """Lay empty axes over others."""
         over = self.figure.add_axes(axes.get_position().bounds)
         over.set_axis_off()
         over.set_xlim(axes.get_xlim())
@@ -233,18 +233,18 @@ class _Scene:
         along = T_S_HALF * motion.t_s[frame]
         self._t_s.set_data(*np.stack([x - along, x + along]).T)
         self._t_s.set_alpha(max(0.15, 1.0 - abs(float(motion.s[frame]))) ** 2)
-        for arc, base, torque in zip(
-            self._arcs, links[[0, 4]], motion.torque[frame], strict=True
+        for (arc, head), base, torque in zip(
+            self._torques, links[[0, 4]], motion.torque[frame], strict=True
         ):
             around = _arc(base, torque / self._limit if math.isfinite(torque) else 0.0)
             arc.set_data(*around.T)
-            self._heads[self._arcs.index(arc)].set_data(*around[-1:].T)
+            head.set_data(*around[-1:].T)
         for cursor in self._cursors:
             cursor.set_xdata([motion.time[frame]] * 2)
         time, s = (
             round(float(value), 3) + 0.0
             for value in (motion.time[frame], motion.s[frame])
-        )  # no -0.000
+        )  # + 0.0 makes -0.0 a plain zero
         phase = PHASES.get(motion.phase[frame], motion.phase[frame].lower())
         title = (
             f"{time:.3f} s: {phase or 'phase unknown'}, s = {s:+.3f}  ({self._words})"
@@ -312,8 +312,8 @@ class _Scene:
 
 
 def _arc(base: Floats, share: float) -> Floats:
-    """(40, 2) around a motor, m, by a share of what a whole ring stands for, from the
-    top.
+    """Return an arc (40, 2), m, around a motor, from the top; ``share`` of the turn
+    that a whole ring stands for.
     """
     angles = 0.5 * math.pi + np.linspace(0.0, ARC_TURN * share, 40)
     around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -321,7 +321,7 @@ def _arc(base: Floats, share: float) -> Floats:
 
 
 def _pixels(figure: Figure) -> NDArray[np.uint8]:
-    """(height, width, 4) of a figure as it is drawn."""
+    """Draw a figure and return its pixels (height, width, 4)."""
     stream = io.BytesIO()
     figure.savefig(stream, format="raw")
     size = [round(side * RESOLUTION) for side in SIZE]

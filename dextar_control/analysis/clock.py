@@ -28,14 +28,12 @@ SIDE = 5
 LEAST_SYSTEM_STEP = 10_000_000
 ALIKE = 20_000_000  # ns within which two clocks fell by the same; or a tenth
 ANEW = 10  # periods within which stamps begin where they began before
-LONGEST_PAUSE = (
-    500_000_000  # ns that the recorder's clock may have gone on while the stamps fell
-)
+# ns that the recorder's clock may have gone on while the stamps fell
+LONGEST_PAUSE = 500_000_000
 LEAST_JUMP = 0.01  # rad from one state to the next, beside three times what is usual
 MOST_UNSEEN = 20.0  # periods between the two for which the joints may have gone on
-LEAST_STRETCH = (
-    10  # messages from one step to the next: fewer are those of two publishers in turn
-)
+# messages from one step to the next: fewer are those of two publishers in turn
+LEAST_STRETCH = 10
 
 
 class Clock(NamedTuple):
@@ -151,7 +149,7 @@ def _times(steps: Sequence[float]) -> str:
 
 
 def _fallen(times: Stamps) -> Stamps:
-    """Rows after which times fall back, and stay there."""
+    """Find the rows after which times fall back, and stay there."""
     rows = np.flatnonzero(np.diff(times) < 0)
     rows = rows[(rows >= SIDE // 2) & (rows < len(times) - 1 - SIDE // 2)]
     if len(rows) == 0:
@@ -171,7 +169,7 @@ def _period(stamps: Stamps) -> int:
 def _check(
     topic: str, found: RecordedColumns, rows: Stamps, served: Sequence[int]
 ) -> None:
-    """Refuse what is not one run."""
+    """Refuse states that are not those of one run."""
     stamps, count = found.stamps, len(found.stamps)
     if len(rows) > 2 and np.median(np.diff(rows)) < LEAST_STRETCH:
         raise BagError(
@@ -185,9 +183,8 @@ def _check(
             int(stamps[row] - stamps[row + 1]),
             int(found.logged[row + 1] - found.logged[row]),
         )
-        alike = abs(gap + drop) < max(
-            ALIKE, drop // 10
-        )  # the recorder's clock was set back as well
+        # the recorder's clock was set back as well
+        alike = abs(gap + drop) < max(ALIKE, drop // 10)
         while_unseen = min(max(gap / period, 1.0), MOST_UNSEEN)
         change = float(
             np.nan_to_num(np.abs(found.values[row + 1] - found.values[row])).max()
@@ -211,7 +208,7 @@ def _check(
 
 
 def _usual_change(values: Floats) -> float:
-    """The largest change from one state to the next of nearly all, rad."""
+    """Return the 99th percentile of the change from one state to the next, rad."""
     changes = np.abs(np.diff(values, axis=0)).max(axis=1)
     changes = changes[np.isfinite(changes)]
     return float(np.percentile(changes, 99.0)) if len(changes) else 0.0

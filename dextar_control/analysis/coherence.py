@@ -34,7 +34,7 @@ def check_run(run: Run) -> None:
 
 
 def _has_one_of(known: Stamps, stamps: Stamps) -> bool:
-    """Whether one of the stamps is among the known ones, (n,) rising."""
+    """Tell whether one of the stamps is among the known ones, (n,) rising."""
     for first in range(0, len(stamps), BLOCK):
         part = stamps[first : first + BLOCK]
         if (

@@ -56,7 +56,9 @@ class Compared(Generic[Measured]):
 def _field(
     metrics: Mapping[str, Metric], place: str, statistic: str = "", name: str = ""
 ) -> Compared[Measured]:
-    """A number that is a field, or a statistic of one, under a name of its own."""
+    """Compare a number that is a field, or a statistic of one under a name of its
+    own.
+    """
     metric = metrics[place]
     get = attrgetter(f"{place}.{statistic}" if statistic else place)
 
@@ -133,10 +135,8 @@ OF_CROSSINGS: tuple[Compared[CrossingMetrics], ...] = (
     _field(CROSSING_METRICS, "estimated_error_before"),
     _field(CROSSING_METRICS, "estimated_error_after"),
 )
-TRUE_OR_ESTIMATED = {
-    "error": "{} error (mm)",
-    "s": "{} s, 0 on the locus (1)",
-}  # labels of the panels that can be either
+# labels of the panels that can be either
+TRUE_OR_ESTIMATED = {"error": "{} error (mm)", "s": "{} s, 0 on the locus (1)"}
 MOST_HEADING = 80  # characters
 MOST_CROSSINGS = 24  # written out one by one; the JSON has them all
 MOST_DIFFERENCES = 40  # that the page and the text list; the JSON has them all
@@ -551,7 +551,7 @@ def name_runs(
                     [
                         name,
                         *(
-                            f"{one.name.rpartition('.')[2]} {one.values[row]}"
+                            f"{one.name.partition('.')[2]} {one.values[row]}"
                             for one in told[:count]
                         ),
                     ]
@@ -622,7 +622,7 @@ def _remarks(
 
 
 def _checked(metrics: Metrics) -> list[bool | None]:
-    """Whether each verdict is right; undecided ones are none."""
+    """Return of each verdict whether it is right; undecided ones do not count."""
     return [
         crossing.verdict_correct
         for crossing in metrics.crossings
@@ -631,7 +631,7 @@ def _checked(metrics: Metrics) -> list[bool | None]:
 
 
 def _planned(metrics: Metrics, count: int | None) -> int | None:
-    """A count over the planned crossings; None where no plan is known."""
+    """Return a count over the planned crossings; None where no plan is known."""
     return count if math.isfinite(metrics.planned_peak_torque) else None
 
 
@@ -677,8 +677,8 @@ def _entry(line: ComparisonRow) -> dict[str, object]:
 
 
 def _cells(line: ComparisonRow, joined: bool = False) -> list[Cell]:
-    """Name, unit, and each run's value with its difference; name and unit in one cell
-    where they are joined.
+    """Make cells of name, unit, and each run's value with its difference; name and unit
+    share one where they are joined.
     """
     name, unit, form = line.metric.name, line.metric.shown_unit, line.metric.form
     shown = f"{name} ({unit})" if unit not in ("", "1") else name
@@ -713,7 +713,7 @@ def _rows(
 
 
 def _kind(key: str, shown: Sequence[Sequence[Panel]]) -> str:
-    """Of a panel's curves, the one that every run with this panel holds."""
+    """Choose the kind of curve that every run with this panel holds."""
     if key not in TRUE_OR_ESTIMATED:
         return {"torque": "commanded", "residual": "seen"}[key]
     own = [panel for run in shown for panel in run if panel.key == key]

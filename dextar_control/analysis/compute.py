@@ -115,7 +115,7 @@ def compute_metrics(run: Run) -> Metrics:
             for topic, count in run.losses.items()
         },
     )
-    exciting = bool(run.parameter("trajectory_server", "excite"))
+    exciting = bool(run.parameter("trajectory_server", "task.excite"))
     success, reasons = judge(
         metrics, has_truth=run.truth is not None, problem=problem, exciting=exciting
     )
@@ -140,8 +140,8 @@ def _add(lost: int | None, dropped: int | None) -> int | None:
 
 
 def _saturated(run: Run, track: Tracked, otherwise: float) -> int:
-    """How many commands were at their limit: the one that the controller had, where the
-    bag tells, N m.
+    """Count the commands at their limit: the recorded one where the bag has it, else
+    ``otherwise``, N m.
     """
     stamps = track.start + np.round(1e9 * track.torque_time).astype(np.int64)
     rows = np.minimum(
@@ -157,13 +157,13 @@ def _saturated(run: Run, track: Tracked, otherwise: float) -> int:
 
 
 def _torque_limit(run: Run, planned_peak: float) -> float:
-    """At which the controller held its commands while tracking, N m: the motors' limit,
-    or nearer what was planned.
+    """Return the torque, N m, at which the controller held its commands while tracking:
+    the motors' limit, or a nearer one that follows from the plan.
     """
     limit = run.robot.max_torque if run.robot else math.inf
     ratio, least = (
         number_of(run.parameter("controller", name))
-        for name in ("watch_ratio", "watch_torque")
+        for name in ("torque_limit.peak_ratio", "torque_limit.min_torque")
     )
     watched = max(ratio * planned_peak, least)
     return min(limit, watched) if math.isfinite(ratio * planned_peak + least) else limit

@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 
 from dextar_control.analysis.registry import Metric, metrics_of
-from dextar_control.analysis.run import Floats, Run, Stamps, rows_between
+from dextar_control.analysis.run import Floats, Run, rows_between, seconds
 from dextar_control.analysis.timing import recorded
 from dextar_control.analysis.tracking import Tracked
 from dextar_control.control.verdicts import OPEN_BEFORE, Verdict
@@ -268,9 +268,11 @@ def judge_crossings(
     run: Run, plan: Certificate, track: Tracked
 ) -> list[CrossingMetrics]:
     """Judge every planned crossing, in order."""
-    criterion_time = _since(track, run.criterion.stamps)
-    control_time = _since(track, run.control.stamps)
-    motion_time = control_time if run.truth is None else _since(track, run.truth.stamps)
+    criterion_time = seconds(run.criterion.stamps - track.start)
+    control_time = seconds(run.control.stamps - track.start)
+    motion_time = (
+        control_time if run.truth is None else seconds(run.truth.stamps - track.start)
+    )
     times = criterion_time, control_time, motion_time
     return [
         _crossing(run, plan, track, index, *times)
@@ -290,10 +292,6 @@ def crossed_in_words(crossings: Sequence[CrossingMetrics], planned: str = "") ->
         f" {len(crossings)}{planned and f' {planned}'}"
     )
     return f"{text}, {missing} not recorded" if missing else text
-
-
-def _since(track: Tracked, stamps: Stamps) -> Floats:
-    return np.asarray(stamps - track.start, dtype=np.float64) * 1e-9
 
 
 def _crossing(
@@ -347,8 +345,8 @@ def _crossing(
             )
         ),
         "residual": abs(value_at(criterion_time, run.criterion.residual, planned)),
-        "sigma_min": _least_between(
-            criterion_time, run.criterion.sigma_min, before, after
+        "sigma_min": -largest_between(
+            criterion_time, -np.abs(run.criterion.sigma_min), before, after
         ),
         "peak_torque": largest(torque[distance < NEAR_LOCUS]),
         "torque_step": largest(np.abs(np.diff(torque, axis=0))[zone[1:] & zone[:-1]]),
@@ -387,15 +385,15 @@ def _crossing(
 
 
 def _stamps(track: Tracked, first: float, last: float) -> tuple[float, float]:
-    """Times since the trajectory's start as stamps, ns."""
+    """Convert two times since the trajectory's start to stamps, ns."""
     return track.start + 1e9 * first, track.start + 1e9 * last
 
 
 def _verdict(
     run: Run, plan: Certificate, track: Tracked, time: Floats, index: int
 ) -> tuple[Verdict | None, float, float]:
-    """(last verdict, when it fell, confidence) on one crossing; where the controller
-    let go, until the run ends.
+    """Find (last verdict, when it fell, confidence) on one crossing; after the last one
+    the controller judged until the run ends.
     """
     verdicts = run.criterion.verdict
     if len(verdicts) == 0 or (
@@ -415,22 +413,11 @@ def _verdict(
     final = verdicts[first + said[-1]]
     before = np.flatnonzero(verdicts[first : first + said[-1]] != final)
     row = first + (int(before[-1]) + 1 if len(before) else 0)
-    if (
-        lost
-        and not recorded(
-            run.criterion.stamps[[max(row - 1, 0)]],
-            run.holes,
-            run.criterion.stamps[[row]],
-        )[0]
-    ):
-        return (
-            Verdict(int(verdicts[row])),
-            math.nan,
-            float(run.criterion.mode_confidence[row]),
-        )
+    begin, end = run.criterion.stamps[[max(row - 1, 0)]], run.criterion.stamps[[row]]
+    unseen = lost and not recorded(begin, run.holes, end)[0]
     return (
         Verdict(int(verdicts[row])),
-        float(time[row]),
+        math.nan if unseen else float(time[row]),
         float(run.criterion.mode_confidence[row]),
     )
 
@@ -447,7 +434,7 @@ def _correct(
 
 
 def _own_part(plan: Certificate, time: Floats, index: int) -> slice[int, int, None]:
-    """The times that are nearer to this crossing than to any other."""
+    """Find the rows of times that are nearer to this crossing than to any other."""
     times = plan.crossing_times
     edges = np.concatenate([[-np.inf], 0.5 * (times[1:] + times[:-1]), [np.inf]])
     return rows_between(time, *edges[index : index + 2])
@@ -491,28 +478,10 @@ def largest_between(time: Floats, values: Floats, first: float, last: float) -> 
         values: (n,) in a unit of their own.
         first, last: s, both inside.
     """
-    inside = values[
-        np.searchsorted(time, first, side="left") : np.searchsorted(
-            time, last, side="right"
-        )
-    ]
+    begin = np.searchsorted(time, first, side="left")
+    inside = values[begin : np.searchsorted(time, last, side="right")]
     finite = inside[np.isfinite(inside)]
     return float(finite.max()) if finite.size else math.nan
-
-
-def _least_between(time: Floats, values: Floats, first: float, last: float) -> float:
-    """The least finite magnitude within [first, last], times rising; nan where there is
-    none.
-    """
-    inside = np.abs(
-        values[
-            np.searchsorted(time, first, side="left") : np.searchsorted(
-                time, last, side="right"
-            )
-        ]
-    )
-    finite = inside[np.isfinite(inside)]
-    return float(finite.min()) if finite.size else math.nan
 
 
 def largest(values: Floats) -> float:

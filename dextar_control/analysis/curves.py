@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dextar_control.analysis.metrics import Metrics
-from dextar_control.analysis.run import Floats, Run, Stamps, rows_between
+from dextar_control.analysis.run import Floats, Run, rows_between, seconds
 from dextar_control.analysis.tracking import Tracked, plan_of, tracked
 from dextar_control.contract import style
 from dextar_control.contract.errors import DextarError
@@ -23,7 +23,7 @@ MOST_TORQUE = 3.0  # of the plan's peak, to which the axis reaches at most
 MOST_RESIDUAL = 3.0  # the same for the criterion's residual
 ERROR_CEILING = 10.0  # mm
 TOGETHER = 20  # squares of innovations that are drawn as their mean
-MANY = 4  # crossings, from more of which on each is shown by itself beside their mean
+MANY = 4  # crossings; of more, each is shown by itself beside their mean
 BESIDE = 3.0  # of a crossing's time within |s| < 0.1, shown before and after it
 AROUND = 81  # points of a curve around a crossing
 MOST_AROUND = 24  # crossings that are shown so
@@ -170,7 +170,7 @@ def observer_panels(run: Run, metrics: Metrics) -> list[Panel]:
     found = metrics.margins
     if track is None or found.innovation is None:
         return []
-    time = _time(run.criterion.stamps, track)
+    time = seconds(run.criterion.stamps - track.start)
     inside = _inside(time, track)
     panels = []
     if found.disturbance:
@@ -297,16 +297,12 @@ def _noted(panel: Panel) -> Panel:
     )
 
 
-def _time(stamps: Stamps, track: Tracked) -> Floats:
-    return np.asarray(stamps - track.start, dtype=np.float64) * 1e-9
-
-
 def _inside(time: Floats, track: Tracked) -> slice[int, int, None]:
     return rows_between(time, track.time[0], track.time[-1] + 1e-9)
 
 
 def _residual(run: Run, track: Tracked, plan: Certificate | None) -> Panel:
-    time = _time(run.criterion.stamps, track)
+    time = seconds(run.criterion.stamps - track.start)
     inside = _inside(time, track)
     seen = run.criterion.residual[inside]
     curves = [Curve("seen by the controller", time[inside], seen, "seen")]
@@ -327,7 +323,7 @@ def _residual(run: Run, track: Tracked, plan: Certificate | None) -> Panel:
 
 
 def _singularity(run: Run, track: Tracked, plan: Certificate | None) -> Panel:
-    time = _time(run.criterion.stamps, track)
+    time = seconds(run.criterion.stamps - track.start)
     inside = _inside(time, track)
     curves = []
     if np.isfinite(run.criterion.mode_confidence[inside]).any():

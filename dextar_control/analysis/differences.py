@@ -15,10 +15,8 @@ from dextar_control.contract.robot import PREFIX, flatten, load_robot
 
 ABSENT = "–"
 OWN_LINE = {"law", "estimator"}  # parameters that have one
-PLACES = {
-    "recorder.output",
-    "trajectory_server.drawing",
-}  # parameters that name where a run's files go
+# parameters that name where a run's files go
+PLACES = {"recorder.output", "trajectory_server.drawing"}
 
 
 class Difference(NamedTuple):
@@ -58,14 +56,16 @@ def differing(runs: Sequence[Run], metrics: Sequence[Metrics]) -> list[Differenc
         if (
             any(not same_value(value, values[0]) for value in values)
             and key not in PLACES
-            and key.rpartition(".")[2] not in OWN_LINE
+            and key.partition(".")[2] not in OWN_LINE
         ):
             found.append(Difference(key, [value_text(value) for value in values], True))
     return [*found, Difference("bag", [shown_name(run) for run in runs], False)]
 
 
 def _parameters(run: Run) -> dict[str, object]:
-    """By dotted names, a node's before its own; the controller's robot as ``robot``."""
+    """Collect the parameters by dotted names, with their node's before them; the
+    controller's robot as ``robot``.
+    """
     robot = run.parameters.get("controller", {})
     found = {
         key: value

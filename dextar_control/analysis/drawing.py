@@ -27,9 +27,9 @@ from dextar_control.contract.style import LIGHT, LINES, MARKS, Line
 if TYPE_CHECKING:
     from matplotlib.typing import RcKeyType
 
-# of the axis label's size, from the frame to the legend: numbers and label lie between
+# sizes of the axis label from the frame to the legend: numbers and label lie between
 LEGEND_DROP = 4.0
-FEW, SEVERAL = 3, 6  # numbers on a small and on a large axis
+FEW, SEVERAL = 3, 6  # most numbers on a small and on a large axis
 ACROSS = 6  # small figures side by side
 BESIDE = 4.5  # px, of a word from its mark
 PLACES = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # beside a mark, where a word may lie
@@ -83,7 +83,7 @@ SCREEN, PAPER = Look(), Look(0.42)  # of a page's width, of a column of a paper
 
 
 def _points(axes: Axes) -> float:
-    """Size of the axes' labels."""
+    """Return the size of the axes' labels, points."""
     return axes.xaxis.label.get_fontproperties().get_size_in_points()
 
 
@@ -213,7 +213,9 @@ def mark(
 def _write(
     axes: Axes, words: str, point: Floats, taken: list[Floats], look: Look
 ) -> None:
-    """Beside a point, on the side where the nearest of what is taken is farthest."""
+    """Write words beside a point, on the side that is farthest from all that is
+    there.
+    """
     size = 0.8 * _points(axes)
     span = float(np.ptp(axes.dataLim.get_points(), axis=0).max()) or 1.0
     aside = 0.03 * span * np.array([1.0 + 0.35 * len(words), 1.0])

@@ -107,7 +107,7 @@ def _over_time(
 
 
 def _verdicts(axes: Axes, metrics: Metrics) -> None:
-    """When the estimator said what of the crossings."""
+    """Mark when the estimator said what of the crossings."""
     for verdict in ("crossed", "bounced"):
         times = [
             crossing.verdict_time
@@ -126,7 +126,7 @@ def _verdicts(axes: Axes, metrics: Metrics) -> None:
 
 
 def _places(metrics: Metrics) -> list[str]:
-    """Where and when it crossed, in words."""
+    """Say where and when the robot crossed."""
     lines = []
     for number, one in enumerate(metrics.crossings[:MOST_PLACES], start=1):
         x = ", ".join(f"{1e3 * value:.1f}" for value in one.point)

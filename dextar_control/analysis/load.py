@@ -33,6 +33,8 @@ from dextar_control.bags.scan import Progress
 from dextar_control.bags.series import Columns, Select, Series, Steady
 from dextar_control.contract import topics
 from dextar_control.contract.errors import BagError, ParameterError
+from dextar_control.contract.former_names import present_names
+from dextar_control.contract.node_parameters import parameters_of_node
 from dextar_control.contract.robot import (
     JOINT_NAMES,
     ROBOT_KEYS,
@@ -58,10 +60,10 @@ Parameters = dict[str, dict[str, object]]
 T = TypeVar("T")
 NANOSECONDS = 1_000_000_000
 PARAMETER_PREFIX = "parameters."
-# bytes of memory of its own for each recorded second at 1 kHz, at most: loaded and
+# most bytes of memory for each recorded second at 1 kHz while a run is loaded and
 # measured
 MEMORY = 250_000
-# ns beside a hole within which a stream that has no stamp lacks it because of the hole
+# ns: where a stream lacks stamps so near to a hole, the hole is why
 ANSWERED = 100_000_000
 _KINDS = ("position", "velocity", "effort")
 JOINT_COLUMNS = [f"{kind}.{name}" for kind in _KINDS for name in JOINT_NAMES]
@@ -123,7 +125,7 @@ def load_run(
         resolved = _table_of(record, "contract", str)
         losses = _losses(_table_of(record, "topics", dict))
         parameters = _parameters(record)
-    except (ValueError, RecursionError, yaml.YAMLError) as error:
+    except (ValueError, RecursionError, yaml.YAMLError, ParameterError) as error:
         why = " ".join(str(error).split())
         bag.faults.append(
             f"{bag.path}: its metadata record 'dextar' cannot be read and is passed"
@@ -172,7 +174,7 @@ def _table_of(record: dict[str, str], key: str, kind: type[T]) -> dict[str, T]:
 def _losses(
     table: Mapping[str, dict[str, object]],
 ) -> dict[str, dict[str, int | None]]:
-    """Counts per topic; what is no number is not known."""
+    """Read the counts per topic, None where one is no number."""
     return {
         topic: {
             key: value if isinstance(value, int) else None
@@ -188,14 +190,15 @@ def _parameters(record: dict[str, str]) -> Parameters:
         for key, text in record.items()
         if key.startswith(PARAMETER_PREFIX)
     }
-    for values in found.values():
+    for node, values in found.items():
         if not isinstance(values, dict):
             raise ValueError(f"{values!r} is no table")
+        found[node], _ = present_names(parameters_of_node(node), values)
     return found
 
 
 class _Topics:
-    """The topics of a bag that a run needs; what cannot be read of them is told
+    """The topics of a bag that a run needs; what cannot be read of them is warned of
     once.
     """
 
@@ -330,7 +333,7 @@ def _recorded_topics(bag: Bag) -> dict[str, TopicCounts]:
 
 
 def _joint_paths(message: JointState) -> dict[str, str]:
-    """Of a JointState: what joints and criterion have, by name."""
+    """Find what joints and criterion have of a JointState, by name."""
     wanted = [(kind, name) for kind in _KINDS for name in JOINT_NAMES]
     wanted += [("position", name) for name in topics.CRITERION_NAMES]
     return {
@@ -341,7 +344,7 @@ def _joint_paths(message: JointState) -> dict[str, str]:
 
 
 def _control_paths(message: JointTrajectory) -> dict[str, str]:
-    """Of a JointTrajectory: what the controller's state has."""
+    """Find what the controller's state has of a JointTrajectory."""
     found = {name: name for name in _CONTROL_NAMES[:2]}
     for name in _CONTROL_NAMES[2:]:
         _, point, kind, _ = name.split(".")
@@ -355,12 +358,12 @@ def _control_paths(message: JointTrajectory) -> dict[str, str]:
 def _served(
     newest: Iterable[Trajectory],
 ) -> list[Trajectory]:
-    """Of trajectories the last with points."""
+    """Keep the last trajectory with points."""
     return list(islice((message for message in newest if len(message.points) > 1), 1))
 
 
 def _last_statuses(newest: Iterable[DiagnosticArray]) -> list[DiagnosticArray]:
-    """Of diagnostics those that hold the last status of some node."""
+    """Keep the diagnostics that hold the last status of some node."""
     kept, seen = [], set[str]()
     for message in newest:
         names = {status.name for status in message.status}
@@ -371,7 +374,7 @@ def _last_statuses(newest: Iterable[DiagnosticArray]) -> list[DiagnosticArray]:
 
 
 def _pose_paths(message: PoseStamped) -> dict[str, str]:
-    """Of a pose in the base frame its position; nothing of another."""
+    """Take the position of a pose in the base frame, nothing of another."""
     in_base = message.header.frame_id == topics.BASE_FRAME
     return {name: name for name in _POSE_NAMES} if in_base else {}
 
@@ -397,8 +400,8 @@ SELECT = cast(
 
 
 def _holes(bag: Bag, states: Joints, answers: Sequence[Stamps]) -> list[Hole]:
-    """The bag's holes by stamps: from the last state that has all its answers to the
-    first one that has them again.
+    """Convert the bag's holes to stamps: each goes from the last state that has all its
+    answers to the first one that has them again.
     """
     found = []
     for hole in bag.holes:
@@ -497,7 +500,7 @@ def _criterion(series: Series, steady: Steady | None) -> CriterionRecord:
 
 
 def _codes(values: Floats, known: Iterable[int], unknown: float) -> Floats:
-    """Values (n,) that are codes; what is none is unknown."""
+    """Return values (n,) where they are known codes, else ``unknown``."""
     return np.where(np.isin(values, [float(code) for code in known]), values, unknown)
 
 
@@ -572,7 +575,7 @@ def _trajectory(series: Series) -> ServedTrajectory | None:
 
 
 def _incomplete(points: Sequence[TrajectoryPoint]) -> str:
-    """What a trajectory's points lack; "" nothing."""
+    """Say what a trajectory's points lack; "" where they lack nothing."""
     for number, point in enumerate(points, start=1):
         for field in ("transforms", "velocities", "accelerations"):
             if len(getattr(point, field)) == 0:
@@ -581,8 +584,8 @@ def _incomplete(points: Sequence[TrajectoryPoint]) -> str:
 
 
 def _namespace(resolved: dict[str, str]) -> str | None:
-    """The recorded robot's namespace ("" is the root) by a topic of its own; None when
-    no name tells.
+    """Find the recorded robot's namespace ("" is the root) by a topic of its own; None
+    where no name tells it.
     """
     for topic in (
         topics.JOINT_STATES,
@@ -597,7 +600,9 @@ def _namespace(resolved: dict[str, str]) -> str | None:
 
 
 def _diagnostics(series: Series, namespace: str | None) -> Parameters:
-    """Last status per node name, of that namespace's nodes alone when it is known."""
+    """Collect the last status per node name, where the namespace is known of its nodes
+    alone.
+    """
     last: Parameters = {}
     for message in cast("list[DiagnosticArray]", series.messages()):
         for status in message.status:
@@ -615,7 +620,7 @@ def _diagnostics(series: Series, namespace: str | None) -> Parameters:
 
 
 def _robot(parameters: Parameters) -> RobotParameters | None:
-    """The controller's robot, else any node's that has one."""
+    """Return the controller's robot, else that of any node that has one."""
     for node in ("controller", *parameters):
         flat = {
             key.removeprefix("robot."): value

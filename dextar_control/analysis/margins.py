@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dextar_control.analysis.run import Floats, Phase, Run, Stamps, number_of
+from dextar_control.analysis.run import Floats, Phase, Run, Stamps, number_of, seconds
 from dextar_control.analysis.timing import MOST_LATE, Timing
 from dextar_control.analysis.tracking import Tracked
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.contract.settings import Settings, default_settings
+from dextar_control.contract.settings import Settings
 from dextar_control.control.law import OUTPUT
 from dextar_control.control.phases import WITHOUT_LAW
 from dextar_control.control.supervisor import (
@@ -37,9 +37,8 @@ from dextar_control.symbols.record import Field, Layout
 
 ROWS = 1024  # ticks that are looked at together
 LAGS = 50  # samples over which the innovation is compared with itself
-ASKED = [
-    watch for watch in WATCHES if watch.name != "finite"
-]  # of a number that is not finite there is no near miss
+# a number is finite or not: to that limit nothing comes near
+ASKED = [watch for watch in WATCHES if watch.name != "finite"]
 SURE = 1.96  # deviations of a 95 % interval
 
 
@@ -236,10 +235,10 @@ def _largest(values: Floats) -> list[float]:
 
 
 def _settings(run: Run) -> Settings:
-    """The controller's as they were recorded; what another version did not have, by
-    default.
+    """Return the controller's settings as they were recorded, with defaults for those
+    that its version did not have.
     """
-    defaults = vars(default_settings())
+    defaults = node_defaults("controller")
     try:
         return Settings.from_values(defaults | run.parameters.get("controller", {}))
     except (ParameterError, TypeError, ValueError):
@@ -252,14 +251,14 @@ def _parameter(run: Run, node: str, name: str) -> float:
 
 
 def _node_limits(run: Run, timing: Timing, late_share: float) -> list[Margin]:
-    """What the nodes watch: states and commands that do not come."""
+    """Measure what the nodes watch: states and commands that do not come."""
     found = []
     gap = (
         float(np.diff(run.states.stamps).max()) * 1e-9
         if len(run.states.stamps) > 1
         else math.nan
     )
-    allowed = _parameter(run, "controller", "state_timeout")
+    allowed = _parameter(run, "controller", "joint_states.timeout")
     limits = [
         (
             "states",
@@ -276,7 +275,7 @@ def _node_limits(run: Run, timing: Timing, late_share: float) -> list[Margin]:
                 "longest time between two commands, by the system clock",
                 "s",
                 timing.command_period.maximum,
-                _parameter(run, "plant", "command_timeout"),
+                _parameter(run, "plant", "drive.command_timeout"),
             ),
             (
                 "late",
@@ -295,7 +294,7 @@ def _node_limits(run: Run, timing: Timing, late_share: float) -> list[Margin]:
 def _side(
     run: Run, settings: Settings, track: Tracked, plan: Certificate | None
 ) -> Margin | None:
-    """The longest time clear of the locus without knowing the side."""
+    """Measure the longest time clear of the locus without knowing the side."""
     criterion = run.criterion
     if (
         plan is None
@@ -303,13 +302,13 @@ def _side(
         or settings.estimator in ("dgm", "plain")
     ):
         return None
-    time = (criterion.stamps - track.start) * 1e-9
+    time = seconds(criterion.stamps - track.start)
     s = np.interp(time, plan.profile.time, plan.profile.s.reshape(-1))
     inside = (time >= track.time[0]) & (time <= track.time[-1])
     unsure = (
         inside
-        & (np.abs(s) >= settings.verdict_s)
-        & (criterion.mode_confidence < settings.verdict_confidence)
+        & (np.abs(s) >= settings.mode_check.above_abs_s)
+        & (criterion.mode_confidence < settings.mode_check.confidence)
     )
     begins, ends = (
         np.flatnonzero(np.diff(np.concatenate([[0], unsure, [0]]).astype(int)))
@@ -324,11 +323,14 @@ def _side(
         "longest time clear of the locus without knowing the side",
         "s",
         value,
-        settings.side_time,
-        value / settings.side_time,
+        settings.mode_check.unknown_time,
+        value / settings.mode_check.unknown_time,
         float(time[row]) if row >= 0 else math.nan,
         float(criterion.s[row]) if row >= 0 else math.nan,
-        note=f"ends a motion only after an error of {1e3 * settings.side_error:g} mm",
+        note=(
+            "ends a motion only after an error of"
+            f" {1e3 * settings.mode_check.unknown_error:g} mm"
+        ),
     )
 
 
@@ -340,7 +342,9 @@ def _watches(
     stamps: Stamps,
     torque_limit: float,
 ) -> list[Margin]:
-    """The supervisor's watches at each tick under a law, by its own function."""
+    """Ask the supervisor's watches again, by its own function, at each tick under a
+    law.
+    """
     model = Model.of(robot)
     supervisor = Supervisor(robot, model)
     supervisor.configure(settings)
@@ -369,7 +373,7 @@ def _watches(
         recorded = run.criterion.torque_limit[ticks.criterion]
         limit = np.where(recorded > 0.0, recorded, limit)
         dt, known = np.full(len(phase), 1e-3), np.zeros(len(phase))
-        dt[1:] = np.diff(run.states.stamps[ticks.state]) * 1e-9
+        dt[1:] = seconds(np.diff(run.states.stamps[ticks.state]))
         known[1:] = np.diff(ticks.state) == 1
         answer = watch(
             model.p,
@@ -408,11 +412,11 @@ def _watches(
         distance = np.hypot(*error.T)
         recovers = (
             run.criterion.mode_confidence[ticks.criterion]
-            >= settings.verdict_confidence
+            >= settings.mode_check.confidence
         )
         recovers &= distance < _before(distance)
         passed[:, NAMES.index("saturation")] &= ~recovers
-        time = (run.criterion.stamps[ticks.criterion] - track.start) * 1e-9
+        time = seconds(run.criterion.stamps[ticks.criterion] - track.start)
         for column, one in [(NAMES.index(one.name), one) for one in ASKED]:
             share = _share(
                 one.name, values[ticks.fresh, column], limits[ticks.fresh, column]
@@ -452,7 +456,7 @@ def _zeros(fields: Iterable[Field]) -> dict[str, float | Floats]:
 
 
 def _before(values: Floats) -> Floats:
-    """(m, ...) of the tick before each; the first is its own."""
+    """Return the values (m, ...) of the tick before each; the first has its own."""
     return np.concatenate([values[:1], values[:-1]])
 
 
@@ -465,7 +469,9 @@ def _share(name: str, values: Floats, limits: Floats) -> Floats:
 
 
 def _stretches(run: Run, stamps: Stamps) -> Iterator[_Ticks]:
-    """The ticks of these stamps that states, control and criterion have, in order."""
+    """Yield the ticks of these stamps that states, control and criterion have, in
+    order.
+    """
     known = np.isin(stamps, run.control.stamps) & np.isin(stamps, run.states.stamps)
     stamps = stamps[known]
     for begin in range(0, len(stamps), ROWS):
@@ -487,7 +493,7 @@ def _stretches(run: Run, stamps: Stamps) -> Iterator[_Ticks]:
 
 
 def _innovation(innovation: Floats, squares: Floats) -> Innovation | None:
-    """Of innovations (n, k), rad, and their normalised squares (n,)."""
+    """Judge innovations (n, k), rad, and their normalised squares (n,)."""
     count, size = innovation.shape
     if count <= 2 * LAGS or not has_values(innovation):
         return None

@@ -197,8 +197,8 @@ class Metrics:
             "saturated commands",
             "",
             "Commands at the controller's torque limit while tracking: the "
-            "recorded limit, else watch_ratio times the planned peak, or the "
-            "motors' own limit.",
+            "recorded limit, else torque_limit.peak_ratio times the planned peak, or "
+            "the motors' own limit.",
             "d",
         ),
     ]

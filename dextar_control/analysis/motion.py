@@ -12,7 +12,7 @@ import numpy as np
 
 from dextar_control.analysis.geometry import singularity_measure
 from dextar_control.analysis.plane import chain, locus_of, t_s_at
-from dextar_control.analysis.run import Floats, Run, Stamps, rows_between
+from dextar_control.analysis.run import Floats, Run, Stamps, rows_between, seconds
 from dextar_control.analysis.timing import phase_name
 from dextar_control.analysis.tracking import tracked
 from dextar_control.contract.errors import BagError, ParameterError
@@ -121,7 +121,7 @@ def frames_of(
         )
     track = tracked(run)
     zero = track.start if track else int(stamps[0])
-    clock = np.asarray(stamps - zero, dtype=np.float64) * 1e-9
+    clock = seconds(stamps - zero)
     first, last = (
         (track.time[0] - MARGIN, track.time[-1] + MARGIN)
         if track
@@ -139,13 +139,11 @@ def frames_of(
         )
     times = np.arange(first, last + 1e-9, period)
     rows = _last(clock, times)
-    commands = np.asarray(run.commands.stamps - zero, dtype=np.float64) * 1e-9
+    commands = seconds(run.commands.stamps - zero)
     told = _last(commands, times)
     torque = np.full((len(times), len(JOINT_NAMES)), np.nan)
     torque[told >= 0] = run.commands.effort[told[told >= 0]]
-    seen = _last(
-        np.asarray(run.criterion.stamps - zero, dtype=np.float64) * 1e-9, times
-    )
+    seen = _last(seconds(run.criterion.stamps - zero), times)
     names = [
         phase_name(int(run.criterion.phase[row])) if row >= 0 else "" for row in seen
     ]
@@ -167,8 +165,8 @@ def frames_of(
 
 
 def _positions(run: Run) -> tuple[Stamps, Floats, Floats]:
-    """(stamps, end effector, active joints): the truth, or else the estimate with the
-    measured joints.
+    """Return (stamps, end effector, active joints): the true ones, or else the estimate
+    with the measured joints.
     """
     if run.truth is not None:
         return run.truth.stamps, run.truth.x, run.truth.q_a
@@ -188,5 +186,5 @@ def _positions(run: Run) -> tuple[Stamps, Floats, Floats]:
 
 
 def _last(clock: Floats, times: Floats) -> Stamps:
-    """Row of the last value at each time; -1 before the first."""
+    """Find the row of the last value at each time; -1 before the first."""
     return np.searchsorted(clock, times + 1e-9, side="right").astype(np.int64) - 1

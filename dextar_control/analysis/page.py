@@ -54,6 +54,8 @@ from dextar_control.bags.damage import (
     unreadable_lines,
 )
 from dextar_control.contract import style
+from dextar_control.contract.former_names import former_names
+from dextar_control.contract.node_parameters import parameters_of_node
 from dextar_control.contract.topics import TOPICS
 from dextar_control.contract.words import counted
 from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
@@ -62,14 +64,14 @@ T = TypeVar("T")
 NO_TRUTH = "needs truth"
 MOST_PLAN_LINES = 40  # crossings in the plan's table
 TICK = 1.5e-3  # s
-LACKING = (
-    0.5  # correlation of an innovation with the next one, from which on it is no noise
-)
+# correlation of successive innovations above which something is not modelled
+LACKING = 0.5
 WORDS = {
     True: ("good", "Success."),
     False: ("bad", "Failed."),
     None: ("", "Not decidable."),
 }
+# keys of the record that the page shows in places of their own
 PRINTED = {
     "version",
     "versions",
@@ -85,7 +87,7 @@ PRINTED = {
     "estimator",
     "robot_description",
     "parameter_changes_not_listed",
-}  # in their own places
+}
 
 
 class Column(NamedTuple):
@@ -231,21 +233,14 @@ def verdict(metrics: Metrics) -> dict[str, object]:
             " own verdict"
         )
     if math.isfinite(metrics.max_true_error):
-        largest, last = 1e3 * metrics.max_true_error, 1e3 * metrics.final_true_error
-        parts.append(
-            f"true error {largest:.3f} mm at most and {last:.3f} mm at the end"
-        )
+        largest, last = map(metrics.shown, ("max_true_error", "final_true_error"))
+        parts.append(f"true error {largest} at most and {last} at the end")
     elif math.isfinite(metrics.max_estimated_error):
-        parts.append(
-            f"estimated error {1e3 * metrics.max_estimated_error:.3f} mm at most"
-        )
+        parts.append(f"estimated error {metrics.shown('max_estimated_error')} at most")
     if math.isfinite(metrics.peak_torque):
-        of_plan = (
-            f", {metrics.torque_ratio:.2f} × the plan's"
-            if math.isfinite(metrics.torque_ratio)
-            else ""
-        )
-        parts.append(f"peak torque {metrics.peak_torque:.4f} N m{of_plan}")
+        ratio = number(metrics.torque_ratio, ".2f", "")
+        of_plan = f", {ratio} × the plan's" if ratio else ""
+        parts.append(f"peak torque {metrics.shown('peak_torque')}{of_plan}")
     if saturated(metrics).isdigit():
         parts.append(
             f"{counted(metrics.saturated, 'command')} saturated"
@@ -302,7 +297,7 @@ def _tiles(metrics: Metrics) -> list[dict[str, str]]:
 
 
 def _margins(margins: Margins) -> dict[str, object]:
-    """Limits as bars, the nearest first, and what the observer says of itself."""
+    """Show limits as bars, the nearest first, and what the observer says of itself."""
     rows = [
         {
             "name": one.name.replace("_", " "),
@@ -357,8 +352,8 @@ def _margins(margins: Margins) -> dict[str, object]:
 
 
 def _passed(margin: Margin) -> bool:
-    """Whether what is watched did not allow it; the tick at which a motion ends is no
-    longer one under the law.
+    """Tell whether a limit was passed for longer than allowed; the tick at which a
+    motion ends is no longer one under the law.
     """
     return (
         margin.share >= 1.0
@@ -390,7 +385,7 @@ def _margin_in_words(margin: Margin) -> str:
 
 
 def _innovation_in_words(found: Innovation) -> str:
-    """Whether the observer errs as it believes."""
+    """Say whether the observer errs as it believes."""
     if found.square > found.high:
         said = (
             "it trusts its model more than this robot bears: something that it does not"
@@ -427,7 +422,7 @@ def _innovation_in_words(found: Innovation) -> str:
 
 
 def _seen(has_truth: bool) -> tuple[str, ...]:
-    """The numbers of a crossing that a table shows of what was seen there."""
+    """Name a crossing's numbers that the controller saw, as the table shows them."""
     kind = "" if has_truth else "estimated_"
     at_crossing = f"{kind}speed", "residual", "sigma_min"
     return (
@@ -438,9 +433,16 @@ def _seen(has_truth: bool) -> tuple[str, ...]:
     )
 
 
-def _crossing_columns(has_truth: bool) -> list[Column]:
-    seen = (CROSSING_METRICS[name] for name in _seen(has_truth))
-    return [
+def _crossings(run: Run, metrics: Metrics) -> dict[str, object]:
+    has_truth = run.truth is not None
+    rows = [
+        _crossing_row(
+            index, crossing, has_truth, crossing.planned_time <= metrics.tracked_until
+        )
+        for index, crossing in enumerate(metrics.crossings, start=1)
+    ]
+    seen = [CROSSING_METRICS[name] for name in _seen(has_truth)]
+    columns = [
         Column("no."),
         Column("planned", "s"),
         Column("true", "s"),
@@ -452,23 +454,7 @@ def _crossing_columns(has_truth: bool) -> list[Column]:
         Column("verdict is"),
         *(Column(metric.name, metric.shown_unit) for metric in seen),
     ]
-
-
-def _crossings(run: Run, metrics: Metrics) -> dict[str, object]:
-    has_truth = run.truth is not None
-    rows = [
-        _crossing_row(
-            index, crossing, has_truth, crossing.planned_time <= metrics.tracked_until
-        )
-        for index, crossing in enumerate(metrics.crossings, start=1)
-    ]
-    notes = [
-        "Speed at the crossing; residual at the planned instant; smallest singular"
-        " value of A_r over the distal length as the controller saw it; peak torque"
-        " within |s| < 0.1; torque step from one tick to the next within |s| < 0.15;"
-        " largest error from where the plan leaves |s| ≥ 0.3 to the crossing, and from"
-        " there to |s| ≥ 0.3 again."
-    ]
+    notes = [" ".join(f"{metric.name}: {metric.definition}" for metric in seen)]
     if not has_truth:
         notes.insert(
             0,
@@ -476,7 +462,7 @@ def _crossings(run: Run, metrics: Metrics) -> dict[str, object]:
             " verdict need it; errors and speed are the estimator's.",
         )
     return {
-        "columns": _crossing_columns(has_truth),
+        "columns": columns,
         "rows": rows,
         "notes": notes,
         "empty": _no_crossings(metrics),
@@ -487,7 +473,7 @@ def _crossings(run: Run, metrics: Metrics) -> dict[str, object]:
 def _crossed_places(
     metrics: Metrics, has_truth: bool
 ) -> tuple[list[Column], list[list[Cell]]] | None:
-    """Where and when, for beside the path."""
+    """Say where and when it crossed, in a table beside the path."""
     if not metrics.crossings:
         return None
     columns = [
@@ -707,8 +693,8 @@ def _recording(run: Run) -> dict[str, object]:
 
 
 def _rates(name: str, topic: TopicCounts) -> tuple[float | None, float | None]:
-    """(nominal, mean by the recorder's clock) of a topic to which the contract gives
-    one rate; else None: it comes in bursts.
+    """Return the nominal rate of a topic and its mean by the recorder's clock; None
+    where the contract gives no single rate, because it comes in bursts.
     """
     longest = max(
         (own for own in TOPICS if f"/{name}".endswith(f"/{own.name.lstrip('/')}")),
@@ -767,7 +753,7 @@ def _versions(run: Run) -> list[tuple[str, str]]:
 
 
 def _parsed(text: str, kind: type[T]) -> T:
-    """A recorded JSON value of a kind; an empty one where there is none."""
+    """Read a recorded JSON value of a kind; an empty one where there is none."""
     try:
         value = json.loads(text)
     except (ValueError, RecursionError):
@@ -776,7 +762,7 @@ def _parsed(text: str, kind: type[T]) -> T:
 
 
 def _changes(run: Run) -> list[str]:
-    """Parameters changed while the run was recorded, in words."""
+    """Say which parameters were changed while the run was recorded."""
     track = tracked(run)
     zero = int(run.states.published[0])
     if track is not None:
@@ -786,18 +772,21 @@ def _changes(run: Run) -> list[str]:
     for change in _parsed(run.record.get("parameter_changes", ""), list):
         try:
             moment = (int(change["time"]) - zero) * 1e-9
+            name = change["name"]
+            former = former_names(parameters_of_node(change["node"]))
+            name = former.get(name, name)
             lines.append(
-                f"{change['node']}.{change['name']} was set to"
+                f"{change['node']}.{name} was set to"
                 f" {json.dumps(change['value'])} at {moment:+.3f} s"
             )
-        except (KeyError, TypeError, ValueError):
+        except (AttributeError, KeyError, TypeError, ValueError):
             continue
     return lines
 
 
 def _plan(run: Run, plan: Certificate | None) -> dict[str, object]:
-    """Extremes and crossings of the plan as computed anew, beside what was recorded of
-    it and the robot's limits.
+    """Show extremes and crossings of the plan as computed anew, beside what was
+    recorded of it and the robot's limits.
     """
     recorded = _parsed(run.record.get("certificate", ""), dict)
     listed = [

@@ -84,7 +84,7 @@ def draw_paper(run: Run, metrics: Metrics, width: float = COLUMN) -> Figure:
 
 
 def _shortened(panel: Panel) -> Panel:
-    """With the names of its curves as a column has room for them."""
+    """Shorten the names of curves so that a column has room for them."""
     return panel._replace(
         label=panel.label.removeprefix("tracking "),
         curves=[

@@ -128,8 +128,8 @@ def _path(axes: Axes, robot: AnyRobot, certificate: Certificate) -> None:
 def _contour(
     axes: Axes, model: StatesModel, at: Floats, low: Floats, high: Floats
 ) -> None:
-    """The locus in the plane through a place (n,), its other coordinates being that
-    place's.
+    """Draw the locus in the plane through a place (n,), whose other coordinates are
+    kept.
     """
     across, up = np.linspace(low[0], high[0], GRID), np.linspace(low[1], high[1], GRID)
     places = np.tile(at, (GRID * GRID, 1))
@@ -159,8 +159,8 @@ def _contour(
 
 
 def _places(certificate: Certificate) -> list[tuple[list[int], int]]:
-    """The numbers of the crossings that share a place and a direction, with the row of
-    the first.
+    """Collect the numbers of the crossings that share a place and a direction, each
+    with the row of the first.
     """
     places: list[tuple[list[int], int]] = []
     for row, crossing in enumerate(certificate.crossings):

@@ -16,7 +16,8 @@ from dextar_control.planning.model import states_model
 
 T_S_LENGTH = 6.0e-3  # m, half of what is drawn of t_s
 MARGIN = 0.012  # m around everything
-# of the size of what is worth seeing, within which an arc of the locus is shown whole
+# share of the size of what is worth seeing, within which an arc of the locus is shown
+# whole
 NEAR_BY = 0.25
 MOST_NUMBERS = 4  # of crossings at one place, the rest as dots
 SAME_PLACE = 1e-3  # m, crossings nearer than this share their marks
@@ -86,7 +87,8 @@ def plane_of(run: Run, metrics: Metrics) -> Plane:
     places = _places(run.robot, metrics)
     linkage = none
     if run.robot is not None and (places or len(planned)):
-        linkage = linkage_at(run.robot, places[0].x if places else planned[0])
+        x = places[0].x if places else planned[0]
+        linkage = chain(run.robot, x, states_model(run.robot).place(x).q_a)
     locus = locus_of(run.robot)
     low, high = corners(
         [planned if len(planned) else estimated, linkage], [arc for _, arc in locus]
@@ -152,13 +154,6 @@ def locus_of(robot: RobotParameters | None) -> list[tuple[str, Floats]]:
         return []
     arcs = trace_locus(robot, (robot.working_mode,), robot.min_type1_distance)
     return [(arc.family.name.lower(), arc.x) for arc in arcs]
-
-
-def linkage_at(robot: RobotParameters, x: Floats) -> Floats:
-    """Return motor, elbow, end effector, elbow and motor, (5, 2), m, in the robot's
-    working mode, for an end effector x (2,), m; nan where it cannot be.
-    """
-    return chain(robot, x, states_model(robot).place(x).q_a)
 
 
 def chain(robot: RobotParameters, x: Floats, q_a: Floats) -> Floats:

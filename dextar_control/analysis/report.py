@@ -59,9 +59,8 @@ def analyze(
     progress("computing the metrics")
     metrics = compute_metrics(run)
     judged(metrics)
-    from dextar_control.analysis.figure import (
-        draw_run,
-    )  # here: what draws takes longer to load than a bag to judge
+    # imported here, for what draws takes longer to load than a bag takes to judge
+    from dextar_control.analysis.figure import draw_run
     from dextar_control.analysis.page import render_report
     from dextar_control.analysis.paper_figure import COLUMN, write_paper
 
@@ -176,7 +175,7 @@ def _lost(metrics: Metrics) -> str:
 
 
 def _verdicts(metrics: Metrics) -> str:
-    """What the estimator said of the crossings, and whether that is true."""
+    """Say how the estimator judged the crossings, and whether it was right."""
     verdicts = [crossing.verdict for crossing in metrics.crossings]
     if not verdicts or None in verdicts:
         return NOTHING
@@ -196,7 +195,7 @@ def _verdicts(metrics: Metrics) -> str:
 
 
 def _pace(metrics: Metrics) -> str:
-    """How fast a simulation that waits for its commands ran."""
+    """Say how fast a simulation ran that waits for its commands."""
     factor = metrics.mean_rate * metrics.timing.stamp_period
     return (
         f"; {factor:.2f} × real time"

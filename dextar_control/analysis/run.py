@@ -16,6 +16,11 @@ from dextar_control.contract.robot import RobotParameters
 from dextar_control.control.phases import Phase as Phase
 
 
+def seconds(nanoseconds: Stamps) -> Floats:
+    """Convert times (n,) from ns to s."""
+    return np.asarray(nanoseconds, dtype=np.float64) * 1e-9
+
+
 def rows_between(time: Floats, first: float, last: float) -> slice[int, int, None]:
     """Find the rows of rising times (n,), s, that lie in [first, last)."""
     begin, end = np.searchsorted(time, (first, last)).tolist()

@@ -7,7 +7,6 @@ Only Parquet needs pyarrow.
 from __future__ import annotations
 
 import csv
-import dataclasses
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.io import savemat
 
 from dextar_control.analysis.geometry import singularity_measure
-from dextar_control.analysis.run import Floats, Joints, Run, Stamps
+from dextar_control.analysis.run import Floats, Run, Stamps, seconds
 from dextar_control.analysis.timing import phase_name
 from dextar_control.analysis.tracking import tracked
 from dextar_control.contract.errors import BagError, ParameterError, lacking
@@ -48,34 +47,115 @@ NS, SECOND, METRE, SPEED, ACCELERATION, ANGLE, RATE, TORQUE, FORCE, ONE = (
     "1",
 )
 STAMP = "of the state: when it was sampled, on the rig's clock"
-CONTROL_MEANINGS = {
-    "reference": "reference of the end effector",
-    "estimate": "estimated end effector",
-    "error": "reference less estimate",
-    "output": "auxiliary acceleration that the feedback asks for",
-    "wrench": "J_inv^T tau of the commanded torques",
-}
-DERIVATIVES = {"dot": ", velocity", "ddot": ", acceleration"}
-CRITERION_MEANINGS = {
-    "residual": "t_s.w_d, the criterion that a crossing meets with 0",
-    "s": "singularity measure of the estimate, -1 to 1; 0 on the Type 2 locus",
-    "sigma_min": (
-        "smallest singular value of A_r over the distal length, of the estimate"
+# (name, unit, meaning, field) of the columns of a record; {axis} and {joint} stand for
+# one column each
+Rows = tuple[tuple[str, str, str, str], ...]
+MEASURED: Rows = (
+    ("{joint}_position", ANGLE, "measured angle", "position"),
+    ("{joint}_velocity", RATE, "measured angular velocity", "velocity"),
+    ("{joint}_effort", TORQUE, "torque applied since the last state", "effort"),
+)
+COMMANDED: Rows = (("command_{joint}_effort", TORQUE, "commanded torque", "effort"),)
+REFERENCE, ESTIMATED = "reference of the end effector", "estimated end effector"
+CONTROL: Rows = (
+    (
+        "reference_time",
+        SECOND,
+        "controller's, since the trajectory's start",
+        "time",
     ),
-    "projection_weight": (
-        "of the law's feedback along the weak direction, 1 to 0; 0 on the locus"
+    ("reference_{axis}", METRE, REFERENCE, "reference"),
+    ("reference_dot_{axis}", SPEED, f"{REFERENCE}, velocity", "reference_dot"),
+    (
+        "reference_ddot_{axis}",
+        ACCELERATION,
+        f"{REFERENCE}, acceleration",
+        "reference_ddot",
     ),
-    "assembly_mode": "of the estimate: the sign of its s, +1 or -1",
-    "mode_confidence": "in that assembly mode, 0.5 to 1",
-    "torque_limit": "at which the torques are cut",
-    "innovation_square": (
-        "observer's innovation over its covariance; 2 on average where the observer is"
-        " right"
+    ("estimate_{axis}", METRE, ESTIMATED, "estimate"),
+    ("estimate_dot_{axis}", SPEED, f"{ESTIMATED}, velocity", "estimate_dot"),
+    ("error_{axis}", METRE, "reference less estimate", "error"),
+    ("error_dot_{axis}", SPEED, "reference less estimate, velocity", "error_dot"),
+    (
+        "output_{axis}",
+        ACCELERATION,
+        "auxiliary acceleration that the feedback asks for",
+        "output",
     ),
-    "innovation": "measured angle less the one that the observer expected",
-    "bias": "observer's: what a wrong geometry adds to the angle",
-    "disturbance": "observer's: torque at the joint that the model lacks",
-}
+    ("wrench_{axis}", FORCE, "J_inv^T tau of the commanded torques", "wrench"),
+)
+CRITERION: Rows = (
+    (
+        "residual",
+        FORCE,
+        "t_s.w_d, the criterion that a crossing meets with 0",
+        "residual",
+    ),
+    (
+        "s",
+        ONE,
+        "singularity measure of the estimate, -1 to 1; 0 on the Type 2 locus",
+        "s",
+    ),
+    (
+        "sigma_min",
+        ONE,
+        "smallest singular value of A_r over the distal length, of the estimate",
+        "sigma_min",
+    ),
+    (
+        "projection_weight",
+        ONE,
+        "of the law's feedback along the weak direction, 1 to 0; 0 on the locus",
+        "projection_weight",
+    ),
+    (
+        "assembly_mode",
+        ONE,
+        "of the estimate: the sign of its s, +1 or -1",
+        "assembly_mode",
+    ),
+    ("mode_confidence", ONE, "in that assembly mode, 0.5 to 1", "mode_confidence"),
+    ("torque_limit", TORQUE, "at which the torques are cut", "torque_limit"),
+    (
+        "innovation_square",
+        ONE,
+        (
+            "observer's innovation over its covariance; 2 on average where the"
+            " observer is right"
+        ),
+        "innovation_square",
+    ),
+    (
+        "innovation_{joint}",
+        ANGLE,
+        "measured angle less the one that the observer expected",
+        "innovation",
+    ),
+    (
+        "bias_{joint}",
+        ANGLE,
+        "observer's: what a wrong geometry adds to the angle",
+        "bias",
+    ),
+    (
+        "disturbance_{joint}",
+        TORQUE,
+        "observer's: torque at the joint that the model lacks",
+        "disturbance",
+    ),
+)
+TRUTH: Rows = (
+    ("true_{axis}", METRE, "true end effector", "x"),
+    ("true_dot_{axis}", SPEED, "true end effector velocity", "x_dot"),
+    ("true_{joint}", ANGLE, "true joint angle", "q_a"),
+)
+SERVED: Rows = (
+    ("time", SECOND, "since the trajectory's start", "time"),
+    ("planned_x_{axis}", METRE, "served", "x"),
+    ("planned_x_dot_{axis}", SPEED, "served", "x_dot"),
+    ("planned_x_ddot_{axis}", ACCELERATION, "served", "x_ddot"),
+)
 
 
 class Words(NamedTuple):
@@ -138,8 +218,8 @@ class Sheet(NamedTuple):
 
 
 def _states(run: Run) -> Sheet:
-    """One row for each recorded state, the others joined to it by their stamps; null
-    where there is none.
+    """Make one row of each recorded state, with what else has its stamp; null where
+    nothing has.
 
     Units and meanings stand with each column, the robot, the parameters and time zero
     with the table.
@@ -153,7 +233,7 @@ def _states(run: Run) -> Sheet:
             "time",
             SECOND,
             "since the trajectory's start" if track else "since the first state",
-            np.asarray(stamps - zero, dtype=np.float64) * 1e-9,
+            seconds(stamps - zero),
         ),
         Variable(
             "published",
@@ -161,15 +241,15 @@ def _states(run: Run) -> Sheet:
             "system clock when the state was published",
             run.states.published,
         ),
-        *_measured(run.states, stamps),
-        *_commanded(run.commands, stamps),
+        *_columns(MEASURED, run.states, stamps),
+        *_columns(COMMANDED, run.commands, stamps),
         Variable(
             "command_published",
             NS,
             "system clock when the command was published",
             _joined(run.commands.stamps, run.commands.published, stamps),
         ),
-        *_control(run, stamps),
+        *_columns(CONTROL, run.control, stamps),
         *_criterion(run, stamps),
         *_truth(run, stamps),
     ]
@@ -178,44 +258,37 @@ def _states(run: Run) -> Sheet:
 
 def _topics(run: Run) -> dict[str, Sheet]:
     found: dict[str, list[Variable]] = {}
-    for name, joints, fields in (
-        ("states", run.states, _measured(run.states, run.states.stamps)),
-        ("commands", run.commands, _commanded(run.commands, run.commands.stamps)),
+    for name, joints, rows in (
+        ("states", run.states, MEASURED),
+        ("commands", run.commands, COMMANDED),
     ):
         found[name] = [
             Variable("stamp", NS, STAMP, joints.stamps),
-            *fields,
+            *_columns(rows, joints, joints.stamps),
             Variable(
                 "published", NS, "system clock of the publisher", joints.published
             ),
             Variable("logged", NS, "system clock of the recorder", joints.logged),
         ]
+    stamps = run.control.stamps
     found["controller_state"] = [
-        Variable("stamp", NS, STAMP, run.control.stamps),
-        *_control(run, run.control.stamps),
+        Variable("stamp", NS, STAMP, stamps),
+        *_columns(CONTROL, run.control, stamps),
     ]
+    stamps = run.criterion.stamps
     found["criterion"] = [
-        Variable("stamp", NS, STAMP, run.criterion.stamps),
-        *_criterion(run, run.criterion.stamps),
+        Variable("stamp", NS, STAMP, stamps),
+        *_criterion(run, stamps),
     ]
     if run.truth is not None:
-        found["truth"] = [
-            Variable("stamp", NS, STAMP, run.truth.stamps),
-            *_truth(run, run.truth.stamps),
-        ]
+        stamps = run.truth.stamps
+        found["truth"] = [Variable("stamp", NS, STAMP, stamps), *_truth(run, stamps)]
     if run.trajectory is not None:
-        served = run.trajectory
-        found["trajectory"] = [
-            Variable("time", SECOND, "since the trajectory's start", served.time)
-        ]
-        for kind, unit in (("x", METRE), ("x_dot", SPEED), ("x_ddot", ACCELERATION)):
-            found["trajectory"] += _pair(
-                f"planned_{kind}", unit, "served", getattr(served, kind)
-            )
+        found["trajectory"] = _columns(SERVED, run.trajectory)
     return {
-        name: _sheet(fields, run, {})
-        for name, fields in found.items()
-        if len(fields[0].values)
+        name: _sheet(columns, run, {})
+        for name, columns in found.items()
+        if len(columns[0].values)
     }
 
 
@@ -276,7 +349,9 @@ def export(
 
 
 def _joined(own: Stamps, values: NDArray[Scalar], stamps: Stamps) -> NDArray[Scalar]:
-    """Values (n, ...) by their stamps on other stamps; masked where there is none."""
+    """Join values (n, ...) by their stamps to other stamps; masked where there is
+    none.
+    """
     if len(own) == len(stamps) and (own == stamps).all():
         return values
     if len(own) == 0:
@@ -289,105 +364,26 @@ def _joined(own: Stamps, values: NDArray[Scalar], stamps: Stamps) -> NDArray[Sca
     return np.ma.array(found, mask=np.broadcast_to(unknown, found.shape))
 
 
-def _pair(name: str, unit: str, meaning: str, values: Floats) -> list[Variable]:
-    return [
-        Variable(f"{name}_{axis}", unit, meaning, values[:, column])
-        for column, axis in enumerate("xy")
-    ]
-
-
-def _joints(name: str, unit: str, meaning: str, values: Floats) -> list[Variable]:
-    return [
-        Variable(name.format(joint), unit, meaning, values[:, column])
-        for column, joint in enumerate(JOINT_NAMES)
-    ]
-
-
-def _measured(joints: Joints, stamps: Stamps) -> list[Variable]:
-    own = joints.stamps
-    return [
-        *_joints(
-            "{}_position",
-            ANGLE,
-            "measured angle",
-            _joined(own, joints.position, stamps),
-        ),
-        *_joints(
-            "{}_velocity",
-            RATE,
-            "measured angular velocity",
-            _joined(own, joints.velocity, stamps),
-        ),
-        *_joints(
-            "{}_effort",
-            TORQUE,
-            "torque applied since the last state",
-            _joined(own, joints.effort, stamps),
-        ),
-    ]
-
-
-def _commanded(joints: Joints, stamps: Stamps) -> list[Variable]:
-    return _joints(
-        "command_{}_effort",
-        TORQUE,
-        "commanded torque",
-        _joined(joints.stamps, joints.effort, stamps),
-    )
-
-
-def _control(run: Run, stamps: Stamps) -> list[Variable]:
-    own = run.control.stamps
-    time = _joined(own, run.control.time, stamps)
-    fields = [
-        Variable(
-            "reference_time", SECOND, "controller's, since the trajectory's start", time
-        )
-    ]
-    for name, unit in (
-        ("reference", METRE),
-        ("reference_dot", SPEED),
-        ("reference_ddot", ACCELERATION),
-        ("estimate", METRE),
-        ("estimate_dot", SPEED),
-        ("error", METRE),
-        ("error_dot", SPEED),
-        ("output", ACCELERATION),
-        ("wrench", FORCE),
-    ):
-        fields += _pair(
-            name,
-            unit,
-            _control_meaning(name),
-            _joined(own, getattr(run.control, name), stamps),
-        )
-    return fields
-
-
-def _control_meaning(name: str) -> str:
-    quantity, _, derivative = name.partition("_")
-    return CONTROL_MEANINGS[quantity] + DERIVATIVES.get(derivative, "")
+def _columns(
+    rows: Rows, record: object, stamps: Stamps | None = None
+) -> list[Variable]:
+    """Make columns of a record, joined to other stamps where these are given."""
+    found, fields = [], vars(record)
+    for name, unit, meaning, field in rows:
+        values: Floats = fields[field]
+        if stamps is not None:
+            values = _joined(fields["stamps"], values, stamps)
+        if values.ndim == 1:
+            found.append(Variable(name, unit, meaning, values))
+            continue
+        for column, (joint, axis) in enumerate(zip(JOINT_NAMES, "xy", strict=True)):
+            own_name = name.format(joint=joint, axis=axis)
+            found.append(Variable(own_name, unit, meaning, values[:, column]))
+    return found
 
 
 def _criterion(run: Run, stamps: Stamps) -> list[Variable]:
     own = run.criterion.stamps
-    units = {
-        "residual": FORCE,
-        "torque_limit": TORQUE,
-        "innovation": ANGLE,
-        "bias": ANGLE,
-        "disturbance": TORQUE,
-    }
-    fields = []
-    for field in dataclasses.fields(run.criterion):
-        if field.name not in ("stamps", "phase", "verdict"):
-            values = _joined(own, getattr(run.criterion, field.name), stamps)
-            known = units.get(field.name, ONE), CRITERION_MEANINGS[field.name], values
-            fields += (
-                _joints(f"{field.name}_{{}}", *known)
-                if values.ndim == 2
-                else [Variable(field.name, *known)]
-            )
     phases = {
         int(number): phase_name(int(number))
         for number in np.unique(run.criterion.phase)
@@ -396,7 +392,7 @@ def _criterion(run: Run, stamps: Stamps) -> list[Variable]:
     verdicts = {verdict.value: verdict.name.lower() for verdict in Verdict}
     told = "; ".join(f"{name.upper()}: {meaning}" for name, meaning in PHASES.items())
     return [
-        *fields,
+        *_columns(CRITERION, run.criterion, stamps),
         Variable(
             "verdict",
             "",
@@ -416,32 +412,13 @@ def _criterion(run: Run, stamps: Stamps) -> list[Variable]:
 def _truth(run: Run, stamps: Stamps) -> list[Variable]:
     if run.truth is None:
         return []
-    truth = run.truth
-    fields = [
-        *_pair(
-            "true", METRE, "true end effector", _joined(truth.stamps, truth.x, stamps)
-        ),
-        *_pair(
-            "true_dot",
-            SPEED,
-            "true end effector velocity",
-            _joined(truth.stamps, truth.x_dot, stamps),
-        ),
-    ]
-    fields += _joints(
-        "true_{}", ANGLE, "true joint angle", _joined(truth.stamps, truth.q_a, stamps)
-    )
+    truth, found = run.truth, _columns(TRUTH, run.truth, stamps)
     if run.robot is not None:
         s = singularity_measure(run.robot, truth.x, truth.q_a)
-        fields.append(
-            Variable(
-                "true_s",
-                ONE,
-                "singularity measure of the true state",
-                _joined(truth.stamps, s, stamps),
-            )
-        )
-    return fields
+        values = _joined(truth.stamps, s, stamps)
+        meaning = "singularity measure of the true state"
+        found.append(Variable("true_s", ONE, meaning, values))
+    return found
 
 
 def _sheet(fields: list[Variable], run: Run, extra: dict[str, str]) -> Sheet:
@@ -458,8 +435,8 @@ def _sheet(fields: list[Variable], run: Run, extra: dict[str, str]) -> Sheet:
 
 
 def _words(numbers: Numbers, names: Mapping[int, str]) -> Words:
-    """The names of numbers (n,); none where one is masked, not a number, or has no
-    name.
+    """Name numbers (n,); a masked one, one that is nan, and one without a name get no
+    word.
     """
     codes = {number: row for row, number in enumerate(names)}
     rows = [
@@ -474,7 +451,7 @@ def _words(numbers: Numbers, names: Mapping[int, str]) -> Words:
 
 
 def _plain(values: Numbers) -> tuple[Numbers, NDArray[np.bool_]]:
-    """(numbers (n,), (n,) whether there is none)."""
+    """Part numbers (n,) from (n,) whether there is none."""
     data = np.asarray(np.ma.getdata(values))
     return data, np.ma.getmaskarray(values) | np.isnan(data)
 
@@ -518,7 +495,7 @@ def _write_csv(sheet: Sheet, file: Path) -> None:
 
 
 def _blocks(sheet: Sheet) -> Iterator[list[list[object]]]:
-    """The columns as lists of some rows, None where there is no value."""
+    """Yield the columns as lists of some rows, None where there is no value."""
     columns = [
         field.values if isinstance(field.values, Words) else _plain(field.values)
         for field in sheet.fields

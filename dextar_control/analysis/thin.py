@@ -53,8 +53,8 @@ def thin(
 
 
 def _extremes(values: Floats, edges: Rows) -> list[Rows]:
-    """Per bin, from one edge to the next, the rows of its least and greatest value and
-    of its first nan.
+    """Find the rows of the least and greatest value, and of the first nan, of each bin
+    from one edge to the next.
     """
     begins, sizes = edges[:-1], np.diff(edges)
     width = int(sizes.max())

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dextar_control.analysis.clock import LEAST_SYSTEM_STEP
 from dextar_control.analysis.registry import Metric
-from dextar_control.analysis.run import Floats, Joints, Phase, Run, Stamps
+from dextar_control.analysis.run import Floats, Joints, Phase, Run, Stamps, seconds
 from dextar_control.analysis.tracking import Tracked
 from dextar_control.bags.damage import Hole
 
@@ -178,7 +178,7 @@ def round_trips(run: Run, stamps: Stamps) -> tuple[Stamps, Floats]:
         run.states.stamps, run.commands.stamps, assume_unique=True, return_indices=True
     )
     wanted = np.isin(states, stamps)
-    trips = _seconds(
+    trips = seconds(
         run.commands.published[command_rows] - run.states.published[state_rows]
     )
     if run.clock_steps and len(trips):
@@ -200,7 +200,7 @@ def periods(joints: Joints, stamps: Stamps, holes: Sequence[Hole] = ()) -> Float
         else published
     )
     order = np.lexsort((published, stretch))
-    spans = _seconds(np.diff(published[order]))
+    spans = seconds(np.diff(published[order]))
     known = np.diff(stretch[order]) == 0
     seen: Floats = spans[known & recorded(own[order][:-1], holes, own[order][1:])]
     return seen
@@ -229,10 +229,6 @@ def recorded(
         )
         known &= after if hole.end is None else after | (stamps >= hole.end)
     return known
-
-
-def _seconds(nanoseconds: Stamps) -> Floats:
-    return np.asarray(nanoseconds, dtype=np.float64) * 1e-9
 
 
 def measure_timing(run: Run, track: Tracked | None) -> Timing:

@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from dextar_control.analysis.geometry import singularity_measure
-from dextar_control.analysis.run import Floats, Phase, Run, Stamps
+from dextar_control.analysis.run import Floats, Phase, Run, Stamps, seconds
 from dextar_control.planning.certificate import Certificate, measure
 from dextar_control.planning.trajectory import quintic
 
@@ -97,7 +97,7 @@ def tracked(run: Run) -> Tracked | None:
     true_time, true_s, true_error = empty, empty, empty
     if run.truth is not None:
         inside = run.truth.stamps >= stamps[0]
-        true_time = (run.truth.stamps - start)[inside] * 1e-9
+        true_time = seconds(run.truth.stamps - start)[inside]
         if run.robot is not None:
             true_s = singularity_measure(run.robot, run.truth.x, run.truth.q_a)[inside]
         _, ticks, truths = np.intersect1d(
@@ -110,11 +110,11 @@ def tracked(run: Run) -> Tracked | None:
         true_error = true_error[inside]
     inside = (run.commands.stamps >= stamps[0]) & (run.commands.stamps <= stamps[-1])
     torque_stamps = run.commands.stamps[inside]
-    torque_time = (torque_stamps - start) * 1e-9
+    torque_time = seconds(torque_stamps - start)
     s_time, s = (
         (true_time, true_s)
         if len(true_s)
-        else ((criterion.stamps - start) * 1e-9, criterion.s)
+        else (seconds(criterion.stamps - start), criterion.s)
     )
     torque_s = (
         np.interp(torque_time, s_time, s)
@@ -124,7 +124,7 @@ def tracked(run: Run) -> Tracked | None:
     return Tracked(
         start,
         stamps,
-        (stamps - start) * 1e-9,
+        seconds(stamps - start),
         np.hypot(*control.error[rows].T),
         true_time,
         true_s,

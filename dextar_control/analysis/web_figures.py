@@ -377,7 +377,7 @@ def _line(line: Line) -> dict[str, object]:
 
 
 def _range(low: float, high: float) -> list[float | None]:
-    """Of an axis; null where the curves decide."""
+    """Return the range of an axis; nulls where the curves decide."""
     return (
         [float(low), float(high)]
         if math.isfinite(low) and math.isfinite(high) and low < high

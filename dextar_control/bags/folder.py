@@ -262,8 +262,8 @@ def read_listing(folder: Path) -> Listing:
 
 
 def _there(folder: Path, name: str) -> str:
-    """The name of a listed file; that of its unpacked or compressed content where only
-    that is there.
+    """Return the name of a listed file; where only its unpacked or compressed content
+    is there, the name of that.
     """
     plain = plain_name(name)
     others = (plain, *(f"{plain}{suffix}" for suffix in SUFFIXES))

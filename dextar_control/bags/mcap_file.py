@@ -22,7 +22,7 @@ from dextar_control.bags.scan import LATEST
 from dextar_control.bags.stream import RESERVE, BagStream
 
 CHUNK_SIZE = 512 * 1024  # bytes before compression
-INDEX_SIZE = 512  # bytes, generous, that a write adds to the index at the end
+INDEX_SIZE = 512  # most bytes that a write adds to the index at the end
 COMPRESSIONS = {"zstd": CompressionType.ZSTD, "none": CompressionType.NONE}
 
 
@@ -127,14 +127,14 @@ class McapFile:
         """Close the chunk under way and wait until the disk has it; keep room for what
         the end will need.
         """
-        self._writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates it not
+        self._writer.flush()  # type: ignore[no-untyped-call]  # mcap does not annotate it
         self.stream.reserve(RESERVE // 2 + INDEX_SIZE * self.stream.writes)
         self.stream.sync()
 
     def finish(self, custom: Mapping[str, str]) -> None:
         """Write rosbag2's record, the index and the end; wait for the disk."""
         self._describe_itself(custom)
-        self._writer.finish()  # type: ignore[no-untyped-call]  # mcap annotates it not
+        self._writer.finish()  # type: ignore[no-untyped-call]  # mcap does not annotate it
         self.stream.sync()
         self.stream.close()
 

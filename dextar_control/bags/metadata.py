@@ -131,6 +131,8 @@ def _file_span(file: FileSummary) -> dict[str, object]:
 
 
 def _dump(document: object) -> str:
-    """YAML without anchors, which rosbag2 does not read: no part stands in it twice."""
+    """Return YAML without anchors, which rosbag2 does not read: no part stands in it
+    twice.
+    """
     parts = json.loads(json.dumps(document))
     return str(yaml.safe_dump(parts, sort_keys=False, allow_unicode=True))

@@ -152,7 +152,7 @@ class Bag:
     def _names(
         self, topic: Topic, resolved: Mapping[str, str], namespace: str | None
     ) -> list[str]:
-        """What a topic may be called here."""
+        """List the names that a topic may have here."""
         if topic.name in resolved:
             return [resolved[topic.name]]
         if topic.name.startswith("/") or namespace is not None:
@@ -221,7 +221,7 @@ def read_bag(
 
 
 def _files(folder: Path) -> tuple[list[Path], bool]:
-    """(the files of a bag folder in order, whether ``metadata.yaml`` lists them)."""
+    """Find the files of a bag folder, and whether ``metadata.yaml`` lists them."""
     found = files_of(folder)
     if not found.listed and (folder / METADATA_FILE).is_file():
         raise BagError(
@@ -238,7 +238,7 @@ def _files(folder: Path) -> tuple[list[Path], bool]:
 
 
 class _Filling:
-    """Fills a bag; ``columns`` and ``select`` as in ``read_bag``."""
+    """Fills a bag from files; ``columns`` and ``select`` as in ``read_bag``."""
 
     def __init__(
         self, bag: Bag, columns: Mapping[str, Columns], select: Mapping[str, Select]
@@ -319,8 +319,8 @@ class _Filling:
     def _take_one(
         series: Series, log_time: int, publish_time: int, data: bytes, place: int
     ) -> None:
-        """Take a message that rosbag2 may have compressed by itself: no message of CDR
-        begins as such a one.
+        """Take a message that rosbag2 may have compressed by itself: no CDR message
+        begins as a compressed one does.
         """
         content = unpack_message(data) if data.startswith(ZSTD) else data
         if content is None:
@@ -329,7 +329,7 @@ class _Filling:
             series.add(log_time, publish_time, content, place)
 
     def _with_library(self, part: Opened) -> None:
-        """A sqlite3 file. It has no publish times."""
+        """Read a sqlite3 file, which has no publish times."""
         before = self._count
         try:
             with Reader(part.content) as reader:

@@ -108,14 +108,14 @@ class Recovery:
 
 
 class _Content(NamedTuple):
-    """What a file holds.
+    """How many messages a file holds.
 
     Attributes:
-        messages: all.
-        copied: those that can be copied: of a ROS 2 topic, and not damaged where they
-            are compressed one by one.
-        damaged: of a channel that nothing describes, or damaged where they are
+        messages: all of them.
+        copied: those that can be copied: of a ROS 2 topic, and intact where they are
             compressed one by one.
+        damaged: those of a channel that nothing describes, and damaged ones where they
+            are compressed one by one.
     """
 
     messages: int
@@ -200,8 +200,8 @@ def _recover(
 
 
 def _wrong_counts(folder: Path, files: Sequence[Path], counts: Sequence[int]) -> str:
-    """What ``metadata.yaml`` says wrongly of its files; "" where it is right or does
-    not say.
+    """Say what ``metadata.yaml`` counts wrongly; "" where it is right or does not
+    count.
     """
     document = read_listing(folder).document
     told = {"the bag": (document.get("message_count"), sum(counts))}
@@ -222,7 +222,7 @@ def _wrong_counts(folder: Path, files: Sequence[Path], counts: Sequence[int]) ->
 
 
 def _look(scan: Scan, progress: Progress | None) -> _Content:
-    """How many messages a file holds, and how many can be copied."""
+    """Count the messages of a file, and those that can be copied."""
     ours: dict[int, bool] = {}
     schemas: set[int] = set()
     messages = copied = damaged = 0
@@ -393,8 +393,8 @@ def _topic(channel: Channel, schema: Schema) -> TopicDescription:
 
 
 def _profiles(text: str) -> list[Qos]:
-    """The offered QoS profiles that version 9 of rosbag2's metadata can hold; what
-    earlier versions numbered in words.
+    """Read the offered QoS profiles that version 9 of rosbag2's metadata can hold, with
+    words for what earlier versions wrote as numbers.
     """
     try:
         listed = yaml.safe_load(text)

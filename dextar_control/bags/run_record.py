@@ -180,7 +180,7 @@ def _laws(parameters: Mapping[str, Mapping[str, object]]) -> dict[str, str]:
 
 
 def _shortens(new: Mapping[str, object], old: Mapping[str, object]) -> bool:
-    """Whether it is the same certificate with fewer crossings listed."""
+    """Tell whether it is the same certificate with fewer crossings listed."""
     listed = [one.get("crossings") for one in (new, old)]
     fewer, more = (len(own) if isinstance(own, list) else 0 for own in listed)
     return fewer < more and all(
@@ -193,7 +193,7 @@ def _source() -> Path:
 
 
 def _revision() -> str:
-    """Of the source tree, where that is a checkout; "" otherwise."""
+    """Return the revision of the source tree where that is a checkout, else ""."""
     if not (_source() / ".git").exists():
         return ""
     try:

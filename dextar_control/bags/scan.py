@@ -162,8 +162,8 @@ class Scan:
     def _frames(
         self, stream: IO[bytes], size: int, progress: Progress | None
     ) -> Iterator[tuple[int, bytes]]:
-        """(opcode, content) of each record up to the footer; what only an index needs
-        is passed over.
+        """Yield (opcode, content) of each record up to the footer, but not of those
+        that only an index needs.
         """
         told = 0
         while True:
@@ -203,8 +203,8 @@ class Scan:
             yield self._counted(messages)
 
     def _compare(self, statistics: bytes) -> None:
-        """With what the file says itself: a chunk may be missing that was not even seen
-        as one, who knows where.
+        """Compare the number of messages with the file's own count: a chunk may be
+        missing that was not even seen as one, somewhere in the file.
         """
         if (
             not self.holes
@@ -274,8 +274,8 @@ def _joined(loose: list[bytes]) -> Messages:
 
 
 def _break_up(content: bytes) -> tuple[list[Record], Messages]:
-    """Schemas, channels and messages of a chunk; mcap's own way takes ten times as
-    long.
+    """Break a chunk up into schemas, channels and messages; mcap's own way takes ten
+    times as long.
     """
     stream, length = get_chunk_data_stream(
         Chunk.read(ReadDataStream(BytesIO(content))), validate_crc=True
@@ -303,8 +303,8 @@ def _break_up(content: bytes) -> tuple[list[Record], Messages]:
 
 
 def _described_at_the_end(stream: IO[bytes]) -> Iterator[Record]:
-    """The schemas and channels that a file repeats before its end, for those that stood
-    in a damaged chunk.
+    """Yield the schemas and channels that a file repeats before its end, for those that
+    stood in a damaged chunk.
     """
     place, summary = stream.tell(), None
     stream.seek(0)

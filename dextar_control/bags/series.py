@@ -229,8 +229,8 @@ class Series:
         )
 
     def _words(self, names: Sequence[str]) -> Stamps:
-        """Times and columns of these names in the order of the bag, a row for each, in
-        a mapped file.
+        """Write times and columns of these names in the order of the bag into a mapped
+        file, a row for each.
         """
         self._settle()
         words = self._mapped(_TIMES + len(names), self._rows)
@@ -246,8 +246,8 @@ class Series:
         return words
 
     def _see(self, raw: Unsigned) -> Stamps:
-        """Count messages; their (m, 2) log and publish times, with another for each
-        that is none.
+        """Count messages and return their log and publish times (m, 2), ns; where one
+        of the two is no time, another stands for it.
         """
         wrong = (raw > LATEST) | ((raw == 0) & (raw[:, ::-1] > 0))
         times: Stamps = raw.astype(np.int64)
@@ -274,7 +274,7 @@ class Series:
         self.why = self.why or why
 
     def _settle(self) -> None:
-        """Make what waits into columns, or select from it."""
+        """Make columns of the messages that wait, or select from them."""
         waiting, self._waiting = self._waiting, []
         if not waiting:
             return
@@ -295,7 +295,7 @@ class Series:
         )
 
     def _message(self, data: bytes) -> object | None:
-        """The message, or None where the bytes are none, which is counted."""
+        """Decode a message; None where the bytes are none, which is counted."""
         try:
             message: object = read_message(data, self.type)
             return message
@@ -367,7 +367,9 @@ class Series:
             self._segments.append([rows.shape[1], len(rows)])
 
     def _blocks(self) -> Iterator[tuple[int, Stamps]]:
-        """(number of the first row, (m, words) rows) of what was written, in blocks."""
+        """Yield (number of the first row, rows (m, words)) of what was written, in
+        blocks.
+        """
         if self._spool is None:
             return
         self._spool.seek(0)
@@ -380,8 +382,8 @@ class Series:
                 start += rows
 
     def _mapped(self, rows: int, columns: int) -> Stamps:
-        """(rows, columns) zeros, int64, that lie in a file without a name and go with
-        the last array on them.
+        """Make zeros (rows, columns), int64, that lie in a file without a name and go
+        with the last array on them.
         """
         size = 8 * rows * columns
         if size == 0:
@@ -497,7 +499,7 @@ class _Layout(NamedTuple):
 
 
 def _numbers(message: object, path: str = "") -> Iterator[tuple[str, float]]:
-    """(path, number) of every float and time in a message."""
+    """Yield (path, number) of every float and time in a message."""
     for name, value in vars(message).items():
         here = f"{path}{name}"
         if isinstance(value, np.ndarray) and value.dtype == np.float64:

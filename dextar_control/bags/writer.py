@@ -252,7 +252,7 @@ class BagWriter:
             self._end(repr(error))
 
     def _drain(self) -> None:
-        """Write all that waits, samples by log time between two other records."""
+        """Write all that waits; between two other records messages go by log time."""
         batch: list[SerializedMessage] = []
         for _ in range(len(self._pending)):
             item = self._pending.popleft()
@@ -288,7 +288,7 @@ class BagWriter:
                 self._drop(sample)
 
     def _is_due(self, log_time: int) -> bool:
-        """Whether the next sample begins a new file."""
+        """Tell whether the next message begins a new file."""
         file = self._file
         if not file.first:
             return False

@@ -10,10 +10,8 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 
-import rclpy
 from rclpy.duration import Duration, Infinite
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -23,9 +21,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
     qos_check_compatible,
 )
-from rclpy.signals import SignalHandlerOptions
 from rclpy.topic_endpoint_info import TopicEndpointInfo
-from rclpy.utilities import try_shutdown
 from rich.progress import BarColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
@@ -45,13 +41,14 @@ from dextar_control.check_rig.torque import TorqueTests
 from dextar_control.check_rig.trial import NO_TORQUE, Torque
 from dextar_control.contract.caches import check_file
 from dextar_control.contract.clocks import UnsteppedClock
-from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import JOINT_NAMES, RobotParameters, load_robot
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn, title
 from dextar_control.contract.topics import EFFORT_COMMANDS, JOINT_COMMANDS, JOINT_STATES
 from dextar_control.nodekit.cdr import from_time, to_time
+from dextar_control.nodekit.client import client_node
 from dextar_control.nodekit.domain import discovery
 from dextar_control.nodekit.node import qos
 
@@ -225,32 +222,10 @@ class RigClient(Node):
         self.destroy_publisher(self._commands)
         self._commands = None
 
-
-@contextmanager
-def _watch(arguments: argparse.Namespace) -> Iterator[tuple[RigClient, StopSignal]]:
-    """Give the node, with signals as a flag; whatever happens, zero torque is the last
-    command.
-    """
-    try:
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        arrays = arguments.command_interface == "effort_array"
-        node = RigClient(
-            arguments.namespace, arguments.states, arguments.commands, arrays=arrays
-        )
-    except DextarError:
-        raise
-    except Exception as error:  # rcl raises its own types for bad names
-        try_shutdown()
-        raise ParameterError(" ".join(str(error).replace("^", "").split())) from error
-    stop = StopSignal()
-    stop.starting = False
-    try:
-        yield node, stop
-    finally:
-        node.release()
-        node.destroy_node()
-        try_shutdown()
-        stop.restore()
+    def destroy_node(self) -> None:
+        """Leave the graph; whatever happened, zero torque is the last command."""
+        self.release()
+        Node.destroy_node(self)
 
 
 def limits_of(arguments: argparse.Namespace, robot: RobotParameters) -> Limits:
@@ -265,9 +240,9 @@ def limits_of(arguments: argparse.Namespace, robot: RobotParameters) -> Limits:
     rate = given(arguments.rate, 1.0 / plant["task.sample_period"])
     return Limits(
         rate=rate,
-        watchdog=given(arguments.watchdog, plant["command_timeout"]),
+        watchdog=given(arguments.watchdog, plant["drive.command_timeout"]),
         max_torque=robot.max_torque,
-        max_gap=given(arguments.max_gap, controller["state_timeout"]),
+        max_gap=given(arguments.max_gap, controller["joint_states.timeout"]),
         jitter=given(arguments.jitter, 1.0 / rate if rate else 0.0),
         rate_tolerance=arguments.rate_tolerance,
         max_age=arguments.max_age,
@@ -297,7 +272,9 @@ def run_check(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         check_file(arguments.json, "--json")
     console = Terminal()
-    with _watch(arguments) as (node, stop):
+    arrays = arguments.command_interface == "effort_array"
+    names = arguments.namespace, arguments.states, arguments.commands
+    with client_node(lambda _: RigClient(*names, arrays=arrays)) as (node, stop):
         graph, samples = _look(console, node, stop, arguments.wait, arguments.duration)
         lines = watch_lines(graph, samples, robot, limits, arguments.duration)
         hint = "" if graph.drivers else node.hint()

@@ -48,10 +48,12 @@ class Limits:
     closing: float = 1.0e-3
     watchdog_margin: float = 0.01
     healthy_time: float = field(
-        default_factory=lambda: float(node_defaults("controller")["healthy_time"])
+        default_factory=lambda: float(
+            node_defaults("controller")["joint_states.healthy_time"]
+        )
     )
     joint_margin: float = field(
-        default_factory=lambda: float(node_defaults("controller")["joint_margin"])
+        default_factory=lambda: float(node_defaults("controller")["watch.joint_margin"])
     )
     assembly_mode: int = field(
         default_factory=lambda: int(node_defaults("controller")["assembly_mode"])

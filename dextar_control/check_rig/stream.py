@@ -118,7 +118,10 @@ def _qos(drivers: Sequence[Endpoint], readers: Sequence[Endpoint]) -> CheckLine:
         return failed("QoS", "; ".join(troubles), limit)
     unreliable = ", ".join(end.node for end in drivers if not end.reliable)
     if unreliable:
-        lost = "a real-time controller reads them so; a recorder needs reliable:=false"
+        lost = (
+            "a real-time controller reads them so; a recorder needs"
+            " topics.reliable:=false"
+        )
         return noted(
             "QoS", f"{unreliable} offers its states best effort: {lost}", limit
         )

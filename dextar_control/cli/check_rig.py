@@ -19,6 +19,61 @@ DESCRIPTION = (
     " argument."
 )
 
+Number = tuple[str, float | None, str, str]
+"""Name, default, unit and help of an option that takes a number."""
+EXPECTED: tuple[Number, ...] = (
+    ("--rate", None, "HZ", "of the states (default: one per task.sample_period)"),
+    ("--rate-tolerance", 0.05, "X", "relative (default: %(default)s)"),
+    ("--jitter", None, "S", "99th percentile off the period (default: one period)"),
+    (
+        "--max-gap",
+        None,
+        "S",
+        "between two states (default: controller.state_timeout)",
+    ),
+    (
+        "--max-age",
+        0.05,
+        "S",
+        "of a stamp at arrival (default: %(default)s)",
+    ),
+    (
+        "--watchdog",
+        None,
+        "S",
+        "declared time-out of the drive (default: plant.command_timeout)",
+    ),
+    (
+        "--watchdog-margin",
+        0.01,
+        "S",
+        "for the way there and back, beyond two periods (default: %(default)s)",
+    ),
+)
+TRIED: tuple[Number, ...] = (
+    ("--duration", 5.0, "S", "of the watch (default: %(default)s)"),
+    ("--wait", 5.0, "S", "for the first state (default: %(default)s)"),
+    (
+        "--torque",
+        0.005,
+        "NM",
+        "of the tests; above friction and the effort's noise (default: %(default)s)",
+    ),
+    ("--pulse", None, "S", "time at one torque (default: 0.1, or 20 states)"),
+    (
+        "--max-move",
+        0.1,
+        "RAD",
+        "of a joint, that ends the tests (default: %(default)s)",
+    ),
+    (
+        "--max-speed",
+        1.0,
+        "RAD/S",
+        "of a joint, that ends the tests (default: %(default)s)",
+    ),
+)
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's own arguments."""
@@ -51,95 +106,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="robot description (default: config/dextar.yaml)",
     )
     what = parser.add_argument_group("what is expected")
-    what.add_argument(
-        "--rate",
-        type=float,
-        metavar="HZ",
-        help="of the states (default: one per task.sample_period)",
-    )
-    what.add_argument(
-        "--rate-tolerance",
-        type=float,
-        default=0.05,
-        metavar="X",
-        help="relative (default: %(default)s)",
-    )
-    what.add_argument(
-        "--jitter",
-        type=float,
-        metavar="S",
-        help="99th percentile off the period (default: one period)",
-    )
-    what.add_argument(
-        "--max-gap",
-        type=float,
-        metavar="S",
-        help="between two states (default: controller.state_timeout)",
-    )
-    what.add_argument(
-        "--max-age",
-        type=float,
-        default=0.05,
-        metavar="S",
-        help="of a stamp at arrival (default: %(default)s)",
-    )
-    what.add_argument(
-        "--watchdog",
-        type=float,
-        metavar="S",
-        help="declared time-out of the drive (default: plant.command_timeout)",
-    )
-    what.add_argument(
-        "--watchdog-margin",
-        type=float,
-        default=0.01,
-        metavar="S",
-        help="for the way there and back, beyond two periods (default: %(default)s)",
-    )
     how = parser.add_argument_group("how")
-    how.add_argument(
-        "--duration",
-        type=float,
-        default=5.0,
-        metavar="S",
-        help="of the watch (default: %(default)s)",
-    )
-    how.add_argument(
-        "--wait",
-        type=float,
-        default=5.0,
-        metavar="S",
-        help="for the first state (default: %(default)s)",
-    )
-    how.add_argument(
-        "--torque",
-        type=float,
-        default=0.005,
-        metavar="NM",
-        help=(
-            "of the tests; above friction and the effort's noise (default: %(default)s)"
-        ),
-    )
-    how.add_argument(
-        "--pulse",
-        type=float,
-        metavar="S",
-        help="time at one torque (default: 0.1, or 20 states)",
-    )
-    how.add_argument(
-        "--max-move",
-        type=float,
-        default=0.1,
-        metavar="RAD",
-        help="of a joint, that ends the tests (default: %(default)s)",
-    )
-    how.add_argument(
-        "--max-speed",
-        type=float,
-        default=1.0,
-        metavar="RAD/S",
-        help="of a joint, that ends the tests (default: %(default)s)",
-    )
+    for group, numbers in ((what, EXPECTED), (how, TRIED)):
+        for name, default, unit, text in numbers:
+            group.add_argument(
+                name, type=float, default=default, metavar=unit, help=text
+            )
     how.add_argument(
         "--yes", action="store_true", help="the robot may move: do not ask"
     )

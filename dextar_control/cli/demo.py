@@ -145,7 +145,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NODE.NAME:=VALUE",
         dest="overrides",
-        help="set one node parameter, e.g. -p plant.command_delay:=0.003 (repeatable)",
+        help=(
+            "set one node parameter, e.g. -p plant.drive.command_delay:=0.003"
+            " (repeatable)"
+        ),
     )
     parser.add_argument(
         "--output",

@@ -117,9 +117,11 @@ def _topic(topic: Topic, node: str = "") -> str:
 
 
 def _parameters(node: str, specs: Iterable[Parameter], robot: bool) -> str:
+    """A section for each group."""
     defaults = resources.node_defaults(node)
-    lines = []
+    sections: dict[str, list[str]] = {"": []}
     for spec in specs:
+        lines = sections.setdefault(spec.group, [])
         lines.append(
             f"  {spec.name} = {_value(defaults[spec.name])}{_unit(spec)}{_limits(spec)}"
         )
@@ -127,12 +129,14 @@ def _parameters(node: str, specs: Iterable[Parameter], robot: bool) -> str:
         lines += [textwrap.indent(line, " " * 6) for line in words]
     if robot:
         file = resources.config_file(resources.ROBOT_FILE)
-        lines += [
+        sections["robot"] = [
             f"  robot.* = those of {file}",
             "      A whole parameter file describes the robot; it is fixed.",
         ]
-    return _section(
-        "parameters, with default, unit where a number has one, range", lines
+    heading = "parameters, with default, unit where a number has one, range"
+    return "\n\n".join(
+        _section(f"parameters {group}.*" if group else heading, lines)
+        for group, lines in sections.items()
     )
 
 

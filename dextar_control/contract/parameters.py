@@ -1,11 +1,14 @@
-"""A parameter of a node is described here, with the values that it takes.
+"""A parameter of a node is described here, with the names and values that it takes.
 Needs no ROS.
+
+The parameters themselves stand in ``node_parameters``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 from dextar_control.contract import resources
 from dextar_control.contract.errors import ParameterError
@@ -19,7 +22,7 @@ class Parameter:
     """One node parameter; its default stands in ``config/crossing.yaml``.
 
     Attributes:
-        name: dotted name.
+        name: plain, or the name of its group, a dot and its own.
         description: one sentence, which a stranger understands without the name beside
             it.
         minimum, maximum: inclusive bounds of a number (or of each of an array).
@@ -30,6 +33,8 @@ class Parameter:
         unit: of a number, SI; 1 where it has no dimension.
         own: whether a string may also be ``module:attribute`` of the user's own code,
             beside the choices.
+        formerly: the name that it had in the release before, which is still taken in
+            files and at a node's start.
     """
 
     name: str
@@ -41,6 +46,12 @@ class Parameter:
     live: bool = False
     unit: str = ""
     own: bool = False
+    formerly: str = ""
+
+    @property
+    def group(self) -> str:
+        """What stands before the dot of its name; it is empty of a plain name."""
+        return self.name.rpartition(".")[0]
 
     @property
     def allowed(self) -> str:
@@ -78,6 +89,29 @@ SCHEDULING = (
 """Parameters of nodes with a loop that must be on time, named as ros2_control's; see
 ``scheduling.ask_kernel``.
 """
+
+
+def nearest_in_words(
+    name: str, specs: Sequence[Parameter], others: Sequence[str] = ()
+) -> str:
+    """Return a question for what may have been meant by a name that is not known; it is
+    empty where nothing looks like it.
+
+    Args:
+        name: as given.
+        specs: of the parameters that there are.
+        others: further names.
+    """
+    names = [*(spec.name for spec in specs), *others]
+    meant = {
+        **{known.rpartition(".")[2]: known for known in names},
+        **{spec.formerly: spec.name for spec in specs if spec.formerly},
+        **{known: known for known in names},
+    }
+    close = get_close_matches(name, meant, n=1) or get_close_matches(
+        name.rpartition(".")[2], meant, n=1
+    )
+    return f"; did you mean '{meant[close[0]]}'?" if close else ""
 
 
 def check_value(
@@ -152,7 +186,7 @@ def settled(
     Args:
         node: its name.
         specs: of its parameters.
-        overrides: of the defaults in ``config/crossing.yaml``.
+        overrides: of the defaults in ``config/crossing.yaml``, by present names.
         robot: whether the node takes the robot description.
 
     Raises:
@@ -174,8 +208,11 @@ def settled(
         )
         if key not in known and not others:
             raise ParameterError(
-                f"unknown parameter '{key}' for node {node}; known are:"
-                f" {', '.join([*names, *described])}"
+                f"unknown parameter '{key}' for node {node}"
+                + (
+                    nearest_in_words(key, specs, described)
+                    or f"; known are: {', '.join([*names, *described])}"
+                )
             )
     for name in names:
         if name not in defaults:

@@ -118,8 +118,9 @@ class Terminal(Console):
 
     def render_str(self, text: str, **options: object) -> Text:
         """Do as rich does, without control characters in the text."""
-        plain_text = text.translate(_PICTURES)
-        return super().render_str(plain_text, **options)  # type: ignore[arg-type]
+        text = text.translate(_PICTURES)
+        # The options are rich's, and handed on as they come; so are those of Steps.
+        return super().render_str(text, **options)  # type: ignore[arg-type]
 
     def working(self, text: str) -> Working:
         """Return a display of what is done, for as long as its context lasts."""

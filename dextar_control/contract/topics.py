@@ -161,7 +161,7 @@ JOINT_STATES = Topic(
     unit="rad, rad/s, N m",
     joints=JOINT_NAMES,
     stamp="of the sample",
-    timeouts=(TimeOut("controller", "state_timeout", "fault, no torque"),),
+    timeouts=(TimeOut("controller", "joint_states.timeout", "fault, no torque"),),
 )
 JOINT_COMMANDS = Topic(
     "joint_commands",
@@ -175,7 +175,7 @@ JOINT_COMMANDS = Topic(
     unit="N m",
     joints=JOINT_NAMES,
     stamp="of the state it answers",
-    timeouts=(TimeOut("plant", "command_timeout", "no torque"),),
+    timeouts=(TimeOut("plant", "drive.command_timeout", "no torque"),),
 )
 EFFORT_COMMANDS = Topic(
     "effort_commands",
@@ -191,8 +191,8 @@ EFFORT_COMMANDS = Topic(
     unit="N m",
     joints=JOINT_NAMES,
     stamp="none",
-    timeouts=(TimeOut("plant", "command_timeout", "no torque"),),
-    switch="controller.publish_effort_array",
+    timeouts=(TimeOut("plant", "drive.command_timeout", "no torque"),),
+    switch="controller.publish.effort_array",
 )
 EXTERNAL_POSE = Topic(
     "external_pose",
@@ -206,8 +206,8 @@ EXTERNAL_POSE = Topic(
     unit="m",
     stamp="when it was true",
     rate_text="the sensor's",
-    timeouts=(TimeOut("controller", "pose_timeout", "a warning"),),
-    switch="plant.pose_rate",
+    timeouts=(TimeOut("controller", "external.timeout", "a warning"),),
+    switch="plant.external_pose.rate",
 )
 TRAJECTORY = Topic(
     "trajectory",
@@ -292,7 +292,7 @@ CLOCK = Topic(
     rate=100.0,
     unit="s",
     stamp="none",
-    switch="plant.clock_rate",
+    switch="plant.simulation.clock_rate",
 )
 MARKERS = Topic(
     "markers",
@@ -350,7 +350,7 @@ READABLE_STATE = Topic(
     unit=CONTROLLER_STATE.unit,
     joints=PLATFORM_NAMES,
     stamp="of the state",
-    switch="controller.publish_readable",
+    switch="controller.publish.readable",
 )
 READABLE_CRITERION = Topic(
     f"{CRITERION.name}/readable",
@@ -359,7 +359,7 @@ READABLE_CRITERION = Topic(
     "It is criterion with a field for each name.",
     unit="SI",
     stamp="of the state",
-    switch="controller.publish_readable",
+    switch="controller.publish.readable",
 )
 GO = "go"
 """The action's name; its type is ``dextar_interfaces/action/Go``, and the node
@@ -403,7 +403,7 @@ SERVICES = (
     Service(
         "plant/step",
         "std_srvs/srv/Trigger",
-        "It advances a paused plant by `step_count` samples.",
+        "It advances a paused plant by `simulation.step_count` samples.",
     ),
     Service(
         "plant/reset",

@@ -62,8 +62,8 @@ class ControlLoop:
         completed: number of trajectories that were tracked to their end.
         tick: the last sample; None before the first.
         lacking: largest torque at a joint that is not modelled, N m, up to
-            ``watch_torque``, when a crossing trajectory's torque was last at its limit
-            with the side known; it is added to the limit.
+            ``torque_limit.min_torque``, when a crossing trajectory's torque was last
+            at its limit with the side known; it is added to the limit.
 
     Raises:
         ParameterError: assembly_mode is neither +1 nor -1.
@@ -134,18 +134,22 @@ class ControlLoop:
                 of the test of crossed against bounced are not in order, or there is no
                 such law.
         """
-        if settings.zone < 0.5 * settings.zone_width:
+        near, test, dgm = settings.near_locus, settings.crossing_test, settings.dgm
+        if near.fade_abs_s < 0.5 * near.fade_width_abs_s:
             raise ParameterError(
-                f"zone = {settings.zone} with zone_width = {settings.zone_width}: the"
-                " transition would reach the locus; zone must be >="
-                f" {0.5 * settings.zone_width}"
+                f"near_locus.fade_abs_s = {near.fade_abs_s} with"
+                f" near_locus.fade_width_abs_s = {near.fade_width_abs_s}: the"
+                " transition would reach the locus; near_locus.fade_abs_s must be >="
+                f" {0.5 * near.fade_width_abs_s}"
             )
-        if not settings.passage_armed < settings.passage_begin:
+        if not test.unknown_below_abs_s < test.begin_below_abs_s:
             raise ParameterError(
-                f"passage_armed = {settings.passage_armed} with passage_begin ="
-                f" {settings.passage_begin}; it must be smaller"
+                f"crossing_test.unknown_below_abs_s = {test.unknown_below_abs_s} with"
+                f" crossing_test.begin_below_abs_s = {test.begin_below_abs_s}; it must"
+                " be smaller"
             )
-        self.settings, self._held = settings, (settings.hold_zone, settings.hold_width)
+        self.settings = settings
+        self._held = dgm.hold_below_abs_s, dgm.fade_width_abs_s
         if settings.law not in self._acts:
             # the laws of this package are compiled together, one's own by itself
             laws = tuple(LAWS) if settings.law in LAWS else (settings.law,)
@@ -164,15 +168,15 @@ class ControlLoop:
             )
         self._act = self._acts[settings.law]
         self._places = self._act.views()
-        gains = self._gains
-        gains.K_p = settings.natural_frequency**2
-        gains.K_d = 2.0 * settings.damping_ratio * settings.natural_frequency
-        gains.K_i = settings.integral_frequency * gains.K_p
+        gains, feedback = self._gains, settings.feedback
+        gains.K_p = feedback.natural_frequency**2
+        gains.K_d = 2.0 * feedback.damping_ratio * feedback.natural_frequency
+        gains.K_i = feedback.integral_frequency * gains.K_p
         banded = settings.law in ("projected", "multi_model")
-        gains.zone = settings.band if banded else settings.zone
-        gains.zone_width = settings.zone_width
-        gains.friction_compensation = settings.friction_compensation
-        gains.disturbance_compensation = settings.disturbance_compensation
+        gains.zone = near.replace_below_abs_s if banded else near.fade_abs_s
+        gains.zone_width = near.fade_width_abs_s
+        gains.friction_compensation = settings.compensation.friction
+        gains.disturbance_compensation = settings.compensation.disturbance
         self.estimator.configure(settings)
         self.supervisor.configure(settings)
         self._judge.configure(settings)
@@ -208,7 +212,7 @@ class ControlLoop:
         of the watch "locus".
         """
         rest, unknown_s = REST_ZONE + REST_WIDTH, self.estimator.unknown_s
-        return max(rest, unknown_s, self.settings.locus_s) + HOLD_MARGIN
+        return max(rest, unknown_s, self.settings.watch.min_abs_s) + HOLD_MARGIN
 
     @property
     def mode_known(self) -> bool:
@@ -226,9 +230,9 @@ class ControlLoop:
                 not rest at its ends clear of the locus; names the value and the limit.
         """
         check_rest(trajectory)
-        residual = self.settings.max_residual
+        residual = self.settings.trajectory.max_residual
         certificate = certify(self.robot, trajectory, max_residual=residual)
-        least = self.settings.hold_zone + self.settings.hold_width
+        least = self.settings.dgm.hold_below_abs_s + self.settings.dgm.fade_width_abs_s
         for name, row in (("starts", 0), ("ends", -1)):
             s = abs(float(certificate.profile.s[row]))
             if s < least:
@@ -284,11 +288,12 @@ class ControlLoop:
             )
         first, held = trajectory.at(0.0).x, self.trajectory.at(0.0).x
         distance = float(np.linalg.norm(first - held))
-        if not distance <= self.settings.max_start_distance:
+        limit = self.settings.trajectory.max_start_distance
+        if not distance <= limit:
             raise TrajectoryError(
                 f"the trajectory starts in {in_words(first)}, {distance:.4f} m from the"
-                f" robot; the limit is {self.settings.max_start_distance} m: serve one"
-                " that starts where the robot stands"
+                f" robot; the limit is {limit} m: serve one that starts where the robot"
+                " stands"
             )
         if start is not None and time - start > START_MARGIN:
             raise TrajectoryError(
@@ -566,8 +571,9 @@ class ControlLoop:
         """The torque limit of a crossing trajectory, N m, which bounds a robot that
         bounced before the verdict is given.
         """
-        planned = self.settings.watch_ratio * certificate.peak_torque
-        return min(self.robot.max_torque, max(planned, self.settings.watch_torque))
+        limit = self.settings.torque_limit
+        planned = limit.peak_ratio * certificate.peak_torque
+        return min(self.robot.max_torque, max(planned, limit.min_torque))
 
     def _end(self) -> float:
         """Hold the end of the trajectory, or stop where that was asked for during the
@@ -593,7 +599,8 @@ class ControlLoop:
             # on the other side d would be another
             if self.supervisor.saturated and self.mode_known:
                 largest = float(abs(self._estimate.d).max())
-                self.lacking = min(largest, self.settings.watch_torque)
+                least = self.settings.torque_limit.min_torque
+                self.lacking = min(largest, least)
             limit = min(limit, self._crossing_limit + self.lacking)
         given.dt[0], given.limit[0] = dt, limit
         given.crossing[0] = self.phase is Phase.CROSSING
@@ -630,7 +637,7 @@ class ControlLoop:
         """Give verdicts on the crossing during which the law stopped acting, for as
         long as braking takes.
         """
-        if self._time - self._stop.began > self.settings.brake_time:
+        if self._time - self._stop.began > self.settings.safe_stop.brake_time:
             self._judge.close()
         news = self._judge.compare_afterwards(self._time, self.estimator)
         if news and "bounced" not in self.reason:

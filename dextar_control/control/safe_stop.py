@@ -6,11 +6,11 @@ where the mechanism can tell, the same on both sides of the locus, and a torque
 
 Where the robot is decides which torque acts:
 
-- |s| < coast_s, or farther, but braked from now on it would come to rest at |s| <
-  stop_s: none; it coasts on with all its speed. No torque acts along t_s there, and
-  slowed in the other direction alone it might come to rest on the locus.
+- |s| < coast_below_abs_s, or farther, but braked from now on it would come to rest at
+  |s| < rest_above_abs_s: none; it coasts on with all its speed. No torque acts along
+  t_s there, and slowed in the other direction alone it might come to rest on the locus.
 - Elsewhere, with a known side: braking, every direction alike, -M_q q_a_dot /
-  brake_constant with M_q = J_inv^-T M J_inv^-1, scaled into the limit.
+  brake_time_constant with M_q = J_inv^-T M J_inv^-1, scaled into the limit.
 - Elsewhere, on a side not known: braking, damping in the joints, -brake_gain q_a_dot,
   scaled into the limit.
 - At rest for rest_time, or after coast_time of coasting, or brake_time after the begin:
@@ -186,12 +186,13 @@ class SafeStop:
     def configure(self, settings: Settings) -> None:
         """Take the settings that concern it, also while it lasts."""
         brake = self._brake
-        brake.gain, brake.constant = settings.brake_gain, settings.brake_constant
-        brake.coast_s, brake.stop_s = settings.coast_s, settings.stop_s
+        told = settings.safe_stop
+        brake.gain, brake.constant = told.brake_gain, told.brake_time_constant
+        brake.coast_s, brake.stop_s = told.coast_below_abs_s, told.rest_above_abs_s
         self._time, self._coast_time, self._rest_time = (
-            settings.brake_time,
-            settings.coast_time,
-            settings.rest_time,
+            told.brake_time,
+            told.coast_time,
+            told.rest_time,
         )
 
     def begin(self, time: float, limit: float, *, trusted: bool, over: bool) -> None:

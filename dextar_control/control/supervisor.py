@@ -64,7 +64,7 @@ WATCHES = (
         "joint_jump",
         "a joint's distance from where the last sample expected it",
         "rad",
-        "max_joint_jump",
+        "watch.max_joint_jump",
         "",
         "0.0012 in good runs, 0.015 when struck at the locus; an encoder that slips by"
         " more is seen at once",
@@ -81,7 +81,7 @@ WATCHES = (
         "tracking_error",
         "distance between reference and estimate",
         "m",
-        "max_tracking_error",
+        "watch.max_tracking_error",
         "",
         "2.4 mm in good runs with consistent and observer, and 5 mm is a failure; at"
         " 20 mm the plan cannot be followed",
@@ -90,16 +90,16 @@ WATCHES = (
         "joint_speed",
         "a joint's change from one sample to the next, over the time between",
         "rad/s",
-        "robot.max_joint_speed x speed_margin",
-        "speed_time",
+        "robot.max_joint_speed x watch.speed_margin",
+        "watch.speed_time",
         "a plan may use the robot's limit entirely, and an error adds to it",
     ),
     Watch(
         "platform_speed",
         "speed of the estimate",
         "m/s",
-        "robot.max_platform_speed x speed_margin",
-        "speed_time",
+        "robot.max_platform_speed x watch.speed_margin",
+        "watch.speed_time",
         "as the joints'; the time is for the direct model, whose speed has no bound on"
         " the locus",
     ),
@@ -107,7 +107,7 @@ WATCHES = (
         "joint_range",
         "a joint's distance outside its range",
         "rad",
-        "joint_margin",
+        "watch.joint_margin",
         "",
         "a plan may go to the end of the range; an error of 5 mm is 0.05 rad",
     ),
@@ -115,8 +115,8 @@ WATCHES = (
         "estimator",
         "a joint's distance from that of the estimated platform",
         "rad",
-        "max_joint_misfit",
-        "misfit_time",
+        "watch.max_joint_misfit",
+        "watch.joint_misfit_time",
         "0.0048 in good runs with a geometry 0.2 mm off, 0.03 with 0.5 mm; a wrong"
         " estimate passes 0.06",
     ),
@@ -124,7 +124,7 @@ WATCHES = (
         "locus",
         "|s| of the estimate outside phase CROSSING",
         "",
-        "locus_s (at least)",
+        "watch.min_abs_s (at least)",
         "",
         "plans keep 0.4 there, approaches 0.2; the robots of good runs kept 0.36. A"
         " robot that comes nearer was pushed, or its estimate is wrong",
@@ -134,7 +134,7 @@ WATCHES = (
         "the larger torque, except where the side is known and the error shrinks",
         "N m",
         "the torque limit of the law",
-        "watch_time",
+        "torque_limit.time",
         "42 ms in runs that recover from a push of 0.5 N; a robot on the other side, or"
         " against an obstacle, stays there",
     ),
@@ -142,8 +142,8 @@ WATCHES = (
         "torque_rate",
         "change of a torque since the last sample, over the time between",
         "N m/s",
-        "robot.max_torque x max_torque_rate",
-        "torque_rate_time",
+        "robot.max_torque x watch.max_torque_rate",
+        "watch.torque_rate_time",
         "65 N m/s for 3 ms in good runs; a loop that swings between its limits passes"
         " it at each sample",
     ),
@@ -330,21 +330,22 @@ class Supervisor:
     def configure(self, settings: Settings) -> None:
         """Take the limits, also while running."""
         limits = self._allowed
-        limits.tracking_error = settings.max_tracking_error
-        limits.joint_speed = settings.speed_margin * self._robot.max_joint_speed
-        limits.platform_speed = settings.speed_margin * self._robot.max_platform_speed
-        limits.joint_range = settings.joint_margin
-        limits.joint_jump = settings.max_joint_jump
-        limits.estimator = settings.max_joint_misfit
-        limits.torque_rate = settings.max_torque_rate * self._robot.max_torque
+        watch = settings.watch
+        limits.tracking_error = watch.max_tracking_error
+        limits.joint_speed = watch.speed_margin * self._robot.max_joint_speed
+        limits.platform_speed = watch.speed_margin * self._robot.max_platform_speed
+        limits.joint_range = watch.joint_margin
+        limits.joint_jump = watch.max_joint_jump
+        limits.estimator = watch.max_joint_misfit
+        limits.torque_rate = watch.max_torque_rate * self._robot.max_torque
         self.times |= {
-            "joint_speed": settings.speed_time,
-            "platform_speed": settings.speed_time,
-            "estimator": settings.misfit_time,
-            "torque_rate": settings.torque_rate_time,
-            "saturation": settings.watch_time,
+            "joint_speed": watch.speed_time,
+            "platform_speed": watch.speed_time,
+            "estimator": watch.joint_misfit_time,
+            "torque_rate": watch.torque_rate_time,
+            "saturation": settings.torque_limit.time,
         }
-        limits.locus = settings.locus_s
+        limits.locus = watch.min_abs_s
         self._bounds.limits = limits.numbers
 
     def begin(self) -> None:

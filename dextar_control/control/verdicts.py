@@ -63,8 +63,9 @@ class CrossingJudge:
 
     def configure(self, settings: Settings) -> None:
         """Take the settings that concern it, also while running."""
-        self._clear_s, self._sure = settings.verdict_s, settings.verdict_confidence
-        self._patience, self._suspect = settings.side_time, settings.side_error
+        told = settings.mode_check
+        self._clear_s, self._sure = told.above_abs_s, told.confidence
+        self._patience, self._suspect = told.unknown_time, told.unknown_error
 
     def begin(self, certificate: Certificate, start: float) -> None:
         """Begin a checked trajectory, tracked from ``start`` on, s."""

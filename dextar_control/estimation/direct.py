@@ -177,8 +177,8 @@ def direct_of(mechanism: Mechanism) -> Library:
 
 
 class DirectEstimator(Estimator):
-    """The estimator ``dgm``: the direct geometric model, but within ``hold_zone`` of
-    the locus the reference.
+    """The estimator ``dgm``: the direct geometric model, but within
+    ``dgm.hold_below_abs_s`` of the locus the reference.
     """
 
     held = True
@@ -208,8 +208,8 @@ class DirectEstimator(Estimator):
     def configure(self, settings: Settings) -> None:
         """See ``Estimator``."""
         super().configure(settings)
-        self._bandwidth = settings.filter_bandwidth
-        self._return_time = settings.return_time
+        self._bandwidth = settings.joint_filter.bandwidth
+        self._return_time = settings.dgm.fade_time
 
     def start(self, x: Array, q_a: Array, assembly_mode: int) -> None:
         """See ``Estimator``: x (n,), m, q_a (n,), rad."""

@@ -75,7 +75,7 @@ class Estimator(ABC):
 
     def configure(self, settings: Settings) -> None:
         """Take the settings that concern it, also while running."""
-        self.unknown_s = settings.hold_zone
+        self.unknown_s = settings.dgm.hold_below_abs_s
 
     @abstractmethod
     def start(self, x: Array, q_a: Array, assembly_mode: int) -> None:

@@ -59,16 +59,15 @@ class ExternalEstimator(ObserverEstimator):
         """See ``Estimator``.
 
         Raises:
-            ParameterError: pose_deviation, pose_gate or pose_timeout is not positive.
+            ParameterError: a number of the group ``external`` is not positive.
         """
-        for name in ("pose_deviation", "pose_gate", "pose_timeout"):
-            if not getattr(settings, name) > 0.0:
-                raise ParameterError(
-                    f"{name} = {getattr(settings, name)}; it must be > 0"
-                )
+        told = settings.external
+        for name, value in vars(told).items():
+            if not value > 0.0:
+                raise ParameterError(f"external.{name} = {value}; it must be > 0")
         super().configure(settings)
-        self._limits = PositionLimits(settings.pose_deviation, settings.pose_gate**2)
-        self._gate, self._timeout = settings.pose_gate, settings.pose_timeout
+        self._limits = PositionLimits(told.position_deviation, told.position_gate**2)
+        self._gate, self._timeout = told.position_gate, told.timeout
 
     def _forget(self) -> None:
         self._waiting: list[tuple[ExternalPosition, float]] = []

@@ -33,33 +33,36 @@ class ObserverEstimator(Estimator):
     def configure(self, settings: Settings) -> None:
         """See ``Estimator``."""
         noise, test = self.observer.noise, self.observer.test_noise
-        noise.encoder = settings.encoder_deviation
-        noise.bias, noise.bias_walk = settings.bias_deviation, settings.bias_walk
-        noise.torque = settings.torque_deviation
-        noise.acceleration = settings.acceleration_deviation
-        noise.scatter_gain = settings.scatter_gain
-        noise.disturbance = settings.disturbance_deviation
-        noise.disturbance_walk = settings.disturbance_walk
-        noise.shock_gate = settings.shock_gate**2
-        noise.shock_speed = settings.shock_speed
+        told, test_told = settings.observer, settings.crossing_test
+        noise.encoder = told.encoder_deviation
+        noise.bias, noise.bias_walk = told.bias_deviation, told.bias_walk
+        noise.torque = told.torque_deviation
+        noise.acceleration = told.acceleration_deviation
+        noise.scatter_gain = told.scatter_gain
+        noise.disturbance = told.disturbance_deviation
+        noise.disturbance_walk = told.disturbance_walk
+        noise.shock_gate = told.impact_gate**2
+        noise.shock_speed = told.impact_speed
         # of a test that may be going on:
         allowed = test.disturbance, test.disturbance_turn, test.disturbance_walk
-        told = self.observer.test_encoder
-        worse = test.encoder / told if told else 1.0
+        before = self.observer.test_encoder
+        worse = test.encoder / before if before else 1.0
         test.take(noise)
         test.disturbance, test.disturbance_turn, test.disturbance_walk = allowed
-        test.encoder = settings.passage_encoder_deviation * worse
-        self.observer.test_encoder = settings.passage_encoder_deviation
-        test.torque = settings.passage_torque_deviation
-        test.bias = settings.passage_bias_deviation
-        test.acceleration = settings.passage_acceleration_deviation
-        self.observer.most_lacking = settings.passage_disturbance
+        test.encoder = test_told.encoder_deviation * worse
+        self.observer.test_encoder = test_told.encoder_deviation
+        test.torque = test_told.torque_deviation
+        test.bias = test_told.bias_deviation
+        test.acceleration = test_told.acceleration_deviation
+        self.observer.most_lacking = test_told.max_disturbance
         self.observer.test_limits = TestLimits(
-            settings.passage_armed, settings.passage_begin, settings.passage_log_odds
+            test_told.unknown_below_abs_s,
+            test_told.begin_below_abs_s,
+            test_told.log_odds,
         )
-        self.unknown_s = settings.passage_armed
-        self._sure = settings.verdict_confidence
-        self._bandwidth = settings.filter_bandwidth
+        self.unknown_s = test_told.unknown_below_abs_s
+        self._sure = settings.mode_check.confidence
+        self._bandwidth = settings.joint_filter.bandwidth
 
     @property
     def mode_known(self) -> bool:

@@ -58,7 +58,7 @@ def bench_tick() -> dict[str, tuple[float, float]]:
         robot,
         np.array(task["task.start"]),
         np.array(task["task.goal"]),
-        task["duration"],
+        task["task.duration"],
         0.05,
     )
     matrix = np.array([[0.09, 0.01], [0.02, 0.08]])
@@ -149,7 +149,7 @@ def _round_trips(module: str, seconds: float) -> tuple[list[float], int]:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         processes = Processes(folder, modules={"controller": module})
         stack.enter_context(processes)
-        values = "state_timeout:=10.0", "healthy_time:=0.0"
+        values = "joint_states.timeout:=10.0", "joint_states.healthy_time:=0.0"
         processes.start("controller", node_arguments("controller", values))
         deadline = time.monotonic() + START_TIMEOUT
         while len(pinger.round_trips) < WARM_UP:

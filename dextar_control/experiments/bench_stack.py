@@ -101,7 +101,11 @@ class RealTimeStack:
 @contextlib.contextmanager
 def _holding(folder: str, **nodes: Sequence[str]) -> Iterator[RealTimeStack]:
     """A context in which plant, controller and further nodes hold the robot."""
-    given = {"plant": ["mode:=realtime"], "controller": ["healthy_time:=0.1"], **nodes}
+    given = {
+        "plant": ["mode:=realtime"],
+        "controller": ["joint_states.healthy_time:=0.1"],
+        **nodes,
+    }
     with Processes(Path(folder)) as processes, monitoring("bench") as monitor:
         yield RealTimeStack(processes, monitor, given)
 
@@ -116,7 +120,7 @@ def bench_nodes(seconds: float) -> dict[str, float]:
         Cores of each node: s of processor time for each second of 1 kHz states.
     """
     with tempfile.TemporaryDirectory() as folder:
-        recorder = [f"output:={folder}/run/run.mcap", "parameters_of:=''"]
+        recorder = [f"output:={folder}/run/run.mcap", "bag.parameters_of:=''"]
         with _holding(folder, recorder=recorder) as stack:
             begin = stack.look()
             stack.monitor.wait(seconds)

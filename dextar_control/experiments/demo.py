@@ -21,6 +21,8 @@ from rich.progress import BarColumn, TimeElapsedColumn
 from std_srvs.srv import SetBool
 
 from dextar_control.contract.errors import BagError, GeometryError, ParameterError
+from dextar_control.contract.former_names import present_names, renamed_in_words
+from dextar_control.contract.node_parameters import PARAMETERS
 from dextar_control.contract.parameters import check_value
 from dextar_control.contract.plug_in import chosen
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
@@ -29,6 +31,7 @@ from dextar_control.contract.terminal import (
     Steps,
     Terminal,
     TextColumn,
+    say,
     spoken_warnings,
 )
 from dextar_control.contract.yaml_text import assignment, load_parameters, parse_value
@@ -48,7 +51,11 @@ from dextar_control.symbols.types import Array
 NODES = "recorder", "plant", "controller", "trajectory_server", "panel"
 PANEL = "panel"  # a display is nobody's need: where it ends the demo goes on
 # of the plant, where the estimator wants one: Hz, s, m
-CAMERA = {"pose_rate": 100.0, "pose_delay": 0.02, "pose_noise": 0.0002}
+CAMERA = {
+    "external_pose.rate": 100.0,
+    "external_pose.delay": 0.02,
+    "external_pose.noise": 0.0002,
+}
 STARTING = "starting the nodes"
 START_TIMEOUT = 120.0  # s, on a busy machine
 RUN_TIMEOUT = 20.0  # s beyond 20 times the trip's duration
@@ -96,12 +103,12 @@ def run_demo(arguments: argparse.Namespace) -> int:
         else "each step waits for its command"
     )
     mode = "real time" if arguments.real_time else waiting
-    chosen = "".join(
+    picked = "".join(
         f"{name} {getattr(arguments, name)}, "
         for name in ("law", "estimator")
         if getattr(arguments, name)
     )
-    said = f"{chosen}{mode}, ROS_DOMAIN_ID={domain}, into {folder}"
+    said = f"{picked}{mode}, ROS_DOMAIN_ID={domain}, into {folder}"
     console.print(said, soft_wrap=True)
     prepare(Model.of(robot).mechanism)
     gc.freeze()
@@ -113,8 +120,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
         with monitoring("demo") as monitor:
             _wait_until_ready(console, monitor, processes)
             _link_latest(folder)
-            # there what else is done could make commands late
-            if not arguments.real_time:
+            if not arguments.real_time:  # where it could make commands late
                 threading.Thread(target=_load_analysis, daemon=True).start()
             try:
                 resumed = monitor.call(
@@ -167,12 +173,12 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
     given: dict[str, dict[str, object]] = {name: {} for name in NODES}
     given["plant"] |= {
         "mode": "realtime" if arguments.real_time else "lockstep",
-        "start_paused": True,
+        "simulation.start_paused": True,
     }
     given["plant"] |= (
         {}
         if arguments.pace is None
-        else {"real_time_factor": check_value(PACE, arguments.pace, 0.0)}
+        else {"simulation.real_time_factor": check_value(PACE, arguments.pace, 0.0)}
     )
     given["plant"] |= {"window": True} if arguments.window else {}
     given["controller"] |= {"lockstep": not arguments.real_time}
@@ -186,13 +192,14 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
         estimator = chosen("estimator", arguments.estimator, ESTIMATORS)
         given["plant"] |= CAMERA if getattr(estimator, "takes_poses", False) else {}
     if arguments.law == "multi_model":
-        given["trajectory_server"]["criterion"] = "zero_wrench"
+        given["trajectory_server"]["task.criterion"] = "zero_wrench"
     for name in ("duration", "repeat", "tour", "excite", "point"):
         if getattr(arguments, name) is not None:
-            given["trajectory_server"][name] = getattr(arguments, name)
+            given["trajectory_server"][f"task.{name}"] = getattr(arguments, name)
     values = {
         node: [assignment(*item) for item in own.items()] for node, own in given.items()
     }
+    typed: dict[str, dict[str, str]] = {name: {} for name in NODES}
     for override in arguments.overrides:
         node, dot, rest = override.partition(".")
         if not dot or node not in NODES or ":=" not in rest:
@@ -200,8 +207,16 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
                 f"-p {override}: expected NODE.NAME:=VALUE with NODE one of"
                 f" {', '.join(NODES)}"
             )
-        parse_value(rest.partition(":=")[2], f"-p {override}")
-        values[node].append(rest)
+        name, _, value = rest.partition(":=")
+        parse_value(value, f"-p {override}")
+        typed[node][name] = value
+    renamed: dict[str, str] = {}
+    for node, own in typed.items():
+        present, found = present_names(PARAMETERS[node], own)
+        values[node] += [f"{name}:={value}" for name, value in present.items()]
+        renamed |= found
+    if renamed:
+        say(f"dextar demo: {renamed_in_words(renamed)}")
     return values
 
 
@@ -235,7 +250,7 @@ def _stand_at_start(
     for name in ("plant", "trajectory_server"):
         values[name].append(assignment("task.start", start.tolist()))
     direction = round(plan.certificate.crossing_signs[0])
-    values["trajectory_server"].append(assignment("direction", direction))
+    values["trajectory_server"].append(assignment("task.direction", direction))
     values["controller"].append(assignment("assembly_mode", -direction))
     return start
 

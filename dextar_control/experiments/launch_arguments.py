@@ -14,10 +14,10 @@ from rclpy.exceptions import InvalidNamespaceException
 from rclpy.validate_namespace import validate_namespace
 
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.node_parameters import PARAMETERS
 from dextar_control.contract.parameters import Parameter, check_value
 from dextar_control.contract.plug_in import is_own, one_of
 from dextar_control.contract.resources import node_defaults
-from dextar_control.contract.settings import SETTINGS
 from dextar_control.contract.topics import INTERFACES
 from dextar_control.contract.yaml_text import load_parameters
 from dextar_control.experiments.start_check import check_start
@@ -26,14 +26,15 @@ from dextar_control.nodes import task
 Value = bool | float | str
 TRUE, FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 """In any case; launch's own conditions take the first two of each."""
-TASK = {spec.name: spec for spec in task.PARAMETERS}
-LOOP = {spec.name: spec for spec in SETTINGS}
-PACE = Parameter(
-    "real_time_factor",
-    "Simulated time runs at most this many times as fast as real time; 0 sets no"
-    " limit.",
-    0.0,
-)
+SPECS = {
+    (node, spec.name): spec for node, specs in PARAMETERS.items() for spec in specs
+}
+TASK = {
+    name: SPECS["trajectory_server", f"{task.GROUP}{name}"]
+    for name in ("tour", "excite", "duration")
+}
+LAW, ESTIMATOR = SPECS["controller", "law"], SPECS["controller", "estimator"]
+PACE = SPECS["plant", "simulation.real_time_factor"]
 
 
 class Argument(NamedTuple):
@@ -71,14 +72,14 @@ class Argument(NamedTuple):
 LEFT = "Empty leaves it to params_file."
 ARGUMENTS = {
     **{
-        name: Argument(
-            "", f"{LOOP[name].description} {LEFT}", "word", LOOP[name].choices, own=True
+        spec.name: Argument(
+            "", f"{spec.description} {LEFT}", "word", spec.choices, own=True
         )
-        for name in ("law", "estimator")
+        for spec in (LAW, ESTIMATOR)
     },
     **{
-        name: Argument("", f"{TASK[name].measured} {LEFT}", "number")
-        for name in ("tour", "excite", "duration")
+        name: Argument("", f"{spec.measured} {LEFT}", "number")
+        for name, spec in TASK.items()
     },
     "real_time": Argument(
         "false",
@@ -156,13 +157,15 @@ def read(given: Mapping[str, str]) -> dict[str, Value]:
         for name, argument in ARGUMENTS.items()
     }
     numbers = {
-        name: values[name] for name in TASK if name in values and values[name] != ""
+        spec.name: values[name] for name, spec in TASK.items() if values[name] != ""
     }
     if numbers:
         try:
             task.Task.from_values({**node_defaults("trajectory_server"), **numbers})
         except ParameterError as error:
-            shown = ", ".join(f"{name}:={given[name]}" for name in numbers)
+            shown = ", ".join(
+                f"{name}:={given[name]}" for name in TASK if values[name] != ""
+            )
             raise ParameterError(
                 f"launch argument {shown} cannot be used: {error}"
             ) from error
@@ -189,19 +192,19 @@ def changes(values: Mapping[str, Value]) -> dict[str, dict[str, Value]]:
         "go_server": {},
         "panel": {},
     }
-    for name, arguments in (
-        ("plant", ("real_time_factor",)),
-        ("controller", ("law", "estimator")),
-        ("trajectory_server", ("tour", "excite", "duration")),
-        ("recorder", ("output",)),
+    for node, arguments in (
+        ("plant", {"real_time_factor": PACE.name}),
+        ("controller", {"law": LAW.name, "estimator": ESTIMATOR.name}),
+        ("trajectory_server", {name: spec.name for name, spec in TASK.items()}),
+        ("recorder", {"output": "output"}),
     ):
-        own[name] |= {
-            argument: values[argument]
-            for argument in arguments
+        own[node] |= {
+            parameter: values[argument]
+            for argument, parameter in arguments.items()
             if values[argument] != ""
         }
     if values["law"] == "multi_model":
-        own["trajectory_server"]["criterion"] = "zero_wrench"
+        own["trajectory_server"]["task.criterion"] = "zero_wrench"
     unwanted = {
         "plant": not values["plant"],
         "recorder": not values["record"],

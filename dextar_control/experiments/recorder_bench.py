@@ -84,12 +84,12 @@ def run(seconds: int, output: Path, reliable: bool) -> int:
     settings: dict[str, dict[str, object]] = {
         "recorder": {
             "output": output / "run.mcap",
-            "reliable": reliable,
-            "compression": "zstd",
+            "topics.reliable": reliable,
+            "bag.compression": "zstd",
         },
-        "plant": {"pose_rate": CAMERA_RATE},
+        "plant": {"external_pose.rate": CAMERA_RATE},
         "controller": {},
-        "trajectory_server": {"autostart": True, "repeat": 10},
+        "trajectory_server": {"autostart": True, "task.repeat": 10},
     }
     asked = refused = 0
     with Processes(output) as processes, monitoring("recorder_bench") as monitor:

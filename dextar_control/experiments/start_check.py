@@ -8,8 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.parameters import Parameter, settled
-from dextar_control.contract.resources import node_defaults
+from dextar_control.contract.former_names import present_names, present_parameters
+from dextar_control.contract.node_parameters import parameters_of_node
+from dextar_control.contract.parameters import settled
 from dextar_control.nodekit.node import DextarNode
 from dextar_control.nodes.controller import ControllerNode
 from dextar_control.nodes.markers import MarkerNode
@@ -27,9 +28,6 @@ def check_start(
 ) -> dict[str, object]:
     """Return the values of a node's parameters.
 
-    The plant is of another room and says its own limits itself: of its parameters only
-    names and types are checked.
-
     Args:
         node: its name.
         changes: of single parameters, over those of the files.
@@ -40,14 +38,10 @@ def check_start(
         ParameterError: one is unknown or cannot be used, or they contradict each other;
             names the node.
     """
-    given = node_defaults(f"{namespace.rstrip('/')}/{node}", *files) | dict(changes)
-    kind = KINDS.get(node)
-    specs = (
-        kind.PARAMETERS
-        if kind is not None
-        else tuple(Parameter(name, "") for name in node_defaults(node))
-    )
+    specs, kind = parameters_of_node(node), KINDS.get(node)
     try:
+        given = present_parameters(f"{namespace.rstrip('/')}/{node}", *files)
+        given |= present_names(specs, changes)[0]
         values = settled(node, specs, given, robot=kind is None or kind.ROBOT)
         if kind is TrajectoryServer:
             Task.from_values(values)

@@ -47,29 +47,23 @@ from dextar_control.identification.transmission import SURE
 from dextar_control.mechanisms.five_bar_locus import SIDES
 from dextar_control.symbols.types import Array
 
-SPARE = 2  # folds beyond the number of quantities that they are to tell
+SPARE = 2  # folds that are needed beyond the number of quantities
 LEAST_SPAN = 0.05  # rad, that each joint has to move
-WIDEST = {
-    "m": 3e-4,
-    "rad": 3e-3,
-}  # standard deviation of a quantity beyond which a recording does not tell it
-MOST_MOVED = {
-    "m": 5e-3,
-    "rad": 0.1,
-}  # from the description, beyond which the two contradict each other
+# standard deviation of a quantity beyond which a recording does not tell it
+WIDEST = {"m": 3e-4, "rad": 3e-3}
+# change of a number beyond which the recordings contradict the description
+MOST_MOVED = {"m": 5e-3, "rad": 0.1}
 # m, RMS of the folds' gaps, without errors of the encoders, beyond which the numbers do
 # not explain them
 MOST_GAP = 1.5e-4
-MOST_APART = (
-    3e-5  # m, of gaps, by which recordings may be explained worse together than alone
-)
-MOST_PLACE_NOISE = 5e-3  # m, of a seen coordinate, likewise
-# rad, of an encoder's error once a turn that is said where nothing else is told
+# m of a gap by which recordings may be explained worse together than alone
+MOST_APART = 3e-5
+MOST_PLACE_NOISE = 5e-3  # m, of a seen coordinate
+# rad of an encoder's error once a turn that may be why nothing else is told
 SUSPICIOUS = 1e-3
 LEAST_USED = 2.0 / 3.0  # of the folds
-POSE_GAP = (
-    5e-3  # s between two joint states, beyond which no reading is known between them
-)
+# s between two joint states, beyond which no reading is known between them
+POSE_GAP = 5e-3
 FEWEST_PLACES = 50
 UNLIKE = (
     "turns before the locus, encoders that slip, play, links that bend, or a bag of"
@@ -225,9 +219,8 @@ def recording_of(
                 ]
             )
             places = Places(columns[:, :2], columns[:, 2:], x[good])
-    stayed = (
-        recorded.believed and bool(recorded.side[0]) and not np.ptp(recorded.side)
-    )  # on one side, known all along
+    # the robot stayed on one side, which was known all along
+    stayed = recorded.believed and bool(recorded.side[0]) and not np.ptp(recorded.side)
     folds = (
         []
         if stayed
@@ -293,7 +286,7 @@ def calibrate_recorded(
         else None
     )
     wanted = directions_of(folds, places)
-    _check_enough(recordings, folds, wanted, places)
+    _check_enough(robot, recordings, folds, wanted, places)
     progress(f"fitting {len(wanted)} quantities to {len(folds)} folds")
     found = fit(linkage, numbers, folds, places, wanted)
     _check_agree(linkage, numbers, recordings, found)
@@ -330,7 +323,7 @@ def predict(calibration: Calibration, run: Run) -> Prediction:
     )
     if not recording.folds:
         raise CalibrationError(
-            f"{run.path} cannot check: {_no_fold(calibration.before, recording)}"
+            f"{run.path} cannot check: {_no_fold(calibration.before, [recording])}"
         )
     numbers = numbers_of(calibration.before), numbers_of(calibration.after)
     gaps = np.array(
@@ -365,20 +358,22 @@ def robot_lines(calibration: Calibration) -> list[str]:
     ]
 
 
-def _no_fold(robot: RobotParameters, recording: CalibrationData) -> str:
+def _no_fold(robot: RobotParameters, recordings: Sequence[CalibrationData]) -> str:
     total, least = (
-        robot.left.distal_length + robot.right.distal_length,
-        robot.left.distal_length - robot.right.distal_length,
+        robot.left.distal_length + sign * robot.right.distal_length for sign in (1, -1)
     )
-    low, high = 1e3 * recording.extremes
+    low = 1e3 * min(recording.extremes[0] for recording in recordings)
+    high = 1e3 * max(recording.extremes[1] for recording in recordings)
     return (
         f"no crossing: the elbows, by the description, come {low:.2f} to {high:.2f} mm"
         f" near each other and nowhere turn back from {1e3 * total:.2f} mm (stretched"
-        f" distal links) or {1e3 * abs(least):.2f} mm (folded ones); {RECORD}"
+        f" distal links) or {1e3 * abs(least):.2f} mm (folded ones), so that no length"
+        f" can be told; {RECORD}"
     )
 
 
 def _check_enough(
+    robot: RobotParameters,
     recordings: Sequence[CalibrationData],
     folds: Sequence[Fold],
     wanted: Sequence[Direction],
@@ -394,7 +389,7 @@ def _check_enough(
             f" {SIDES[joint]}.proximal_length {LEAST_SPAN} rad are the least; {RECORD}"
         )
     if not folds and places is None:
-        raise CalibrationError(f"{names}: {_no_fold_of_all(recordings)}")
+        raise CalibrationError(f"{names}: {_no_fold(robot, recordings)}")
     lacking = len(wanted) + SPARE - len(folds)
     if places is None and lacking > 0:
         raise CalibrationError(
@@ -404,20 +399,10 @@ def _check_enough(
         )
 
 
-def _no_fold_of_all(recordings: Sequence[CalibrationData]) -> str:
-    low = 1e3 * min(recording.extremes[0] for recording in recordings)
-    high = 1e3 * max(recording.extremes[1] for recording in recordings)
-    return (
-        f"no crossing: the elbows' distance by the description, {low:.2f} to {high:.2f}"
-        " mm, nowhere turns back from that of stretched or folded distal links, so"
-        f" that no length can be told; {RECORD}"
-    )
-
-
 def _check_agree(
     linkage: Linkage, numbers: Array, recordings: Sequence[CalibrationData], found: Fit
 ) -> None:
-    """Several recordings are of one robot.
+    """Check that several recordings are of one robot.
 
     Raises:
         CalibrationError: they contradict each other.
@@ -441,7 +426,7 @@ def _check_agree(
 
 
 def _check_places(found: Fit, places: Places | None) -> None:
-    """Most often the end effector was seen where one geometry has it.
+    """Check that most often the end effector was seen where one geometry has it.
 
     Raises:
         CalibrationError: it was not.
@@ -465,7 +450,7 @@ def _check_places(found: Fit, places: Places | None) -> None:
 
 
 def _check_told(found: Fit) -> None:
-    """Each quantity is told well enough to be of use.
+    """Check that each quantity is told well enough to be of use.
 
     Raises:
         CalibrationError: one is not.
@@ -507,7 +492,7 @@ def _check_told(found: Fit) -> None:
 
 
 def _encoders(found: Fit) -> str:
-    """That the encoders err, where they do so much that it is why nothing is told."""
+    """Say that the encoders err, where that may be why nothing is told."""
     if found.encoder_error < SUSPICIOUS:
         return ""
     return (
@@ -518,7 +503,7 @@ def _encoders(found: Fit) -> str:
 
 
 def _check_explained(found: Fit, gaps: Array) -> None:
-    """One geometry explains the recordings.
+    """Check that one geometry explains the recordings.
 
     Raises:
         CalibrationError: none does.
@@ -537,7 +522,7 @@ def _check_explained(found: Fit, gaps: Array) -> None:
 
 
 def _check_bounds(robot: RobotParameters, found: Fit) -> None:
-    """The result is the described robot, a little changed.
+    """Check that the result is the described robot, a little changed.
 
     Raises:
         CalibrationError: it is another one.
@@ -556,8 +541,8 @@ def _check_bounds(robot: RobotParameters, found: Fit) -> None:
 
 
 def _plain(numbers: Array, found: Fit) -> Array:
-    """(16,) as a description has them: encoders without an error once a turn,
-    transmissions' compliances where they are told.
+    """Return the numbers (16,) as a description has them: without encoders' errors once
+    a turn, and with transmissions' compliances only where they are told.
     """
     deviations: Array = np.sqrt(np.diag(found.covariance))
     plain: Array = found.numbers.copy()
@@ -572,7 +557,7 @@ def _plain(numbers: Array, found: Fit) -> Array:
 
 
 def _kept(numbers: Array, wanted: Sequence[Direction]) -> list[str]:
-    """What these quantities leave open, in words."""
+    """Say what these quantities leave open."""
     if len(wanted) == len(EVERY):
         return []
     value = dict(zip(NAMES, numbers, strict=True))

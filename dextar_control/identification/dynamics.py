@@ -26,25 +26,23 @@ from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.model.regressor import Unknown, regressors, sizes_of, unknowns_of
 from dextar_control.symbols.types import Array
 
-PRIOR, PRIOR_BODY = (
-    5.0,
-    0.5,
-    # sizes of a number, and of a mass or inertia, by which it may differ from the
-    # description untold
-)
-DELAY = 5e-3  # s, likewise, of the time from command to drive
+# sizes of a number, and of a mass or inertia, by which it may differ from the
+# description where nothing tells it
+PRIOR, PRIOR_BODY = 5.0, 0.5
+DELAY = 5e-3  # s, the same of the time from command to drive
 ROUNDS, CONVERGED = 10, 1e-4  # of the prior deviations, of a step
 LARGEST = 4.0  # standard deviations, beyond which an instant is an outlier
-TOLD = 0.25  # of that prior deviation, below which a combination of numbers is told
-ALONE = 0.25  # likewise of a number by itself
-# of a described mass or inertia, that is left of it at least: no body is without
+# share of its prior deviation below which a combination of numbers counts as told
+TOLD = 0.25
+ALONE = 0.25  # the same of a number by itself
+# share of a described mass or inertia that is left of it at least: no body has none
 LEAST_BODY = 0.02
-# rad/s over which friction turns round at most: it sticks, whatever the description
+# rad/s over which friction changes its sign at most, whatever speed the description
 # smooths it over
 SHARP = 0.01
-NOTHING = 5e-4  # N m, of the rest, that makes no outlier
-LEAST_TORQUE = 2e-4  # N m, of the rest, that is no sign of anything
-# of a combination's own size, below which another number does not belong to it
+NOTHING = 5e-4  # N m of unexplained torque that makes no outlier
+LEAST_TORQUE = 2e-4  # N m of unexplained torque that says nothing
+# share of a combination below which another number does not belong to it
 NEGLIGIBLE = 1e-3
 
 
@@ -220,12 +218,13 @@ def fit_dynamics(robot: RobotParameters, motions: Sequence[SmoothMotion]) -> Dyn
         if turn > 2 and np.abs(step).max() < CONVERGED:
             break
     posterior = np.linalg.inv(flat.T @ flat + np.eye(k + count))
+    # outliers widen the deviations
     scores = np.zeros((blocks.max() + 1, k + count))
     np.add.at(
         scores,
         blocks,
         np.einsum("mik,mi->mk", scaled, np.clip(misfit, -LARGEST, LARGEST)),
-    )  # outliers widen them
+    )
     covariance = posterior @ (scores.T @ scores + np.eye(k + count)) @ posterior
     deviations = np.sqrt(np.diag(covariance)) * prior
     held = now[:k] <= low[:k] + 1e-12
@@ -257,8 +256,8 @@ def fit_dynamics(robot: RobotParameters, motions: Sequence[SmoothMotion]) -> Dyn
 
 
 def _whitening(rows: _Rows, spread: Array, jitter: Array) -> Array:
-    """(m, n, n) that make a gap's errors one: those of the torques, spread (n,), and of
-    the accelerations, jitter (m, n).
+    """Return (m, n, n) that scale a gap's errors to one: those of the torques, spread
+    (n,), and those of the accelerations, jitter (m, n).
     """
     by_torque, by_motion = (
         rows.J_inv.transpose(0, 2, 1) * spread,
@@ -278,8 +277,8 @@ def _combinations(
     numbers: Array,
     covariance: Array,
 ) -> tuple[BaseParameter, ...]:
-    """The base parameters: the numbers whose torques are told apart, the last first,
-    each with its share of the others'.
+    """Find the base parameters: the numbers whose torques can be told apart, from the
+    last on, each with its share of the others.
     """
     R = np.asarray(qr(flat, mode="r")[0])[: flat.shape[1]]
     base, across = list[int](), np.zeros((len(R), 0))

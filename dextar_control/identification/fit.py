@@ -21,42 +21,27 @@ from dextar_control.mechanisms.five_bar_locus import SIDES, Family
 from dextar_control.symbols.types import Array
 
 LARGEST = 4.0  # standard deviations; a fold or a place beyond is an outlier
-LEAST_SIZE = 1.5e-6  # m, of the folds' gaps, that is no sign of anything
-ROUNDS = 25  # with weights that forget outliers, then without the outliers
-CONVERGED = 1e-7  # of one, of a step
-NEARBY = 10.0  # of one, how far from the description the numbers are looked for first
+LEAST_SIZE = 1.5e-6  # m of a fold's gap that says nothing
+ROUNDS = 25  # with weights that forget outliers, and as many without the outliers
+CONVERGED = 1e-7  # largest step, in the sizes of ``ONE``, at which the search ends
+NEARBY = 10.0  # of these sizes: how far the numbers are looked for at first
 PLACE_NOISE = 2e-4  # m, of a coordinate, until the places' own scatter tells it
 PLACE_FLOOR = 5e-6  # m, of a place beside its noise: clocks, interpolation
 # standard deviations of a normal distribution in the median of its absolute values
 MEDIAN = 1.4826
-FEWEST_FOLDED = (
-    2  # folds with folded links that tell the difference of the distal lengths
-)
-ENCODER_ERRORS = (
-    0.0,
-    3e-5,
-    1e-4,
-    3e-4,
-    1e-3,
-    3e-3,
-)  # rad, of the errors once a turn among which the likeliest is taken
-# rad, of such errors that is looked for where places of the end effector tell them
+# folds with folded links that tell the difference of the distal lengths
+FEWEST_FOLDED = 2
+# rad: the errors once a turn among which the likeliest is taken
+ENCODER_ERRORS = (0.0, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3)
+# rad, the standard deviation of errors once a turn where places of the end effector
+# tell them
 SEEN_ERROR = 3e-4
-UNMODELLED = (
-    0.0,
-    1e-6,
-    3e-6,
-    1e-5,
-    3e-5,
-    1e-4,
-    3e-4,
-)  # m, beside the samples' scatter, likewise
-BOUND = (
-    1e-9  # of the largest singular value, below which a direction is not seen at all
-)
-ONE = {"m": 1e-4, "rad": 1e-3, "rad/(N m)": 1e-2}  # that counts as one of each unit
-# rad/(N m), standard deviation of a transmission's that is looked for where places tell
-# it
+# m: the errors beside the samples' scatter among which the likeliest is taken
+UNMODELLED = (0.0, 1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4)
+# share of the largest singular value below which a direction is not seen at all
+BOUND = 1e-9
+ONE = {"m": 1e-4, "rad": 1e-3, "rad/(N m)": 1e-2}  # what counts as one, per unit
+# rad/(N m), the standard deviation of a transmission's compliance where places tell it
 SEEN_COMPLIANCE = 3e-2
 
 
@@ -178,7 +163,7 @@ def directions_of(
 
 
 class _Problem:
-    """Folds and places, linear about some numbers."""
+    """The least squares problem of folds and places, linear about some numbers."""
 
     def __init__(
         self,
@@ -198,7 +183,7 @@ class _Problem:
         self.place_noise, self.count = PLACE_NOISE, len(wanted)
 
     def at(self, numbers: Array) -> None:
-        """Compute anew there."""
+        """Linearise about some numbers (16,)."""
         self.touches = [touch(self.linkage, numbers, fold) for fold in self.folds]
         self.valid = np.array(
             [np.isfinite(one.gap) for one in self.touches], dtype=bool
@@ -232,7 +217,7 @@ class _Problem:
         )
 
     def size(self) -> float:
-        """Standard deviation of most gaps, m."""
+        """Return the standard deviation of most gaps, m."""
         return max(
             (
                 MEDIAN * float(np.median(np.abs(self.gaps[self.valid])))
@@ -243,7 +228,7 @@ class _Problem:
         )
 
     def step(self, weights: Array, moved: Array, hold: Array) -> tuple[Array, Array]:
-        """(step along the directions, their covariance), in their scales.
+        """Solve for (step along the directions, its covariance), in their scales.
 
         Args:
             weights: (k,) of the folds, 1/m.
@@ -260,7 +245,7 @@ class _Problem:
             ]
         )
         b = np.concatenate([self.gaps * weights, self.seen, hold * moved[:free]])
-        # R of a QR decomposition says of both what the many rows do
+        # R of a QR decomposition holds all that the many rows say
         R = np.asarray(np.linalg.qr(np.column_stack([A, b]), mode="r"))
         A, b = R[:, :free], R[:, free]
         _, values, V = np.linalg.svd(A)
@@ -275,13 +260,12 @@ class _Problem:
         return step, covariance
 
     def variances(self, used: NDArray[np.bool_], moved: Array) -> tuple[float, float]:
-        """The likeliest (error of the encoders, rad, unmodelled, m) by the folds that
-        count, whatever the numbers are.
+        """Find the likeliest (error of the encoders, rad, unmodelled error, m) by the
+        folds that count, whatever the numbers are.
         """
         J, G = self.slopes[used, : self.count], self.slopes[used, self.count :]
-        free = np.linalg.svd(J, full_matrices=True)[0][
-            :, np.linalg.matrix_rank(J) :
-        ].T  # of all that the numbers can explain
+        # orthogonal to all that the numbers can explain
+        free = np.linalg.svd(J, full_matrices=True)[0][:, np.linalg.matrix_rank(J) :].T
         gaps, G = (
             free @ (self.gaps[used] - G @ moved[self.count :]),
             free @ G / ONE["rad"],
@@ -337,9 +321,8 @@ def fit(
             weights = problem.valid / (
                 size * np.sqrt(1.0 + np.square(problem.gaps / size))
             )
-            hold = np.full(
-                len(wanted), 1.0 / NEARBY
-            )  # so that outliers carry nothing far away
+            # outliers must not carry the numbers far away
+            hold = np.full(len(wanted), 1.0 / NEARBY)
         else:
             if turn > ROUNDS:
                 encoder_error, unmodelled = problem.variances(used, moved)
@@ -352,9 +335,10 @@ def fit(
                 / ONE["rad"]
                 * np.linalg.norm(problem.slopes[:, problem.count :], axis=1)
             )
+            # a gap of ordinary size always counts
             spreads = np.sqrt(
                 problem.deviations**2 + max(unmodelled, size) ** 2 + by_encoders**2
-            )  # most always count
+            )
             used = problem.valid & (np.abs(problem.gaps) <= LARGEST * spreads)
             weights = used / np.hypot(problem.deviations, unmodelled)
             hold = np.zeros(len(wanted))

@@ -17,13 +17,11 @@ from dextar_control.identification.linkage import DISTAL, NAMES, Linkage
 from dextar_control.mechanisms.five_bar_locus import Family
 from dextar_control.symbols.types import Array
 
-# of the distal lengths' sum: how far from touching an extreme of the elbows' distance,
-# by the description, may be
+# share of the distal lengths' sum by which an extreme of the elbows' distance may miss
+# that of aligned links, by the description
 NEAR = 0.02
-DROP = {
-    Family.STRETCHED: 0.006,
-    Family.FOLDED: 0.03,
-}  # of that sum: change of the distance over either half of a window
+# share of that sum by which the distance changes over either half of a window
+DROP = {Family.STRETCHED: 0.006, Family.FOLDED: 0.03}
 LONGEST = 0.15  # s, of either half
 FEWEST = 9  # samples in either half
 GAP = 0.01  # s between samples at which a window ends
@@ -131,8 +129,8 @@ def find_folds(
 
 
 def _end(curve: Array, peak: int, step: int, drop: float, time: Array) -> int | None:
-    """The row on one side of a peak where the curve has dropped enough; None where it
-    does not, or samples are missing.
+    """Find the row on one side of a peak where the curve has dropped enough; None where
+    it does not, or samples are missing.
     """
     row = peak
     while abs(row - peak) < FEWEST or curve[peak] - curve[row] < drop:
@@ -185,9 +183,8 @@ def touch(linkage: Linkage, numbers: Array, fold: Fold) -> Touch:
     scatter = (elbows.between - _powers(fold.instants) @ coefficients) @ d
     variance = float(scatter @ scatter) / (len(scatter) - DEGREE - 1)
     repeated = float(scatter[1:] @ scatter[:-1]) / max(float(scatter @ scatter), 1e-30)
-    repeated = min(
-        max(repeated, 0.0), 0.9
-    )  # the error of a count that lasts for some samples is not a new one each time
+    # an encoder count that lasts for some samples is one error, not a new one each time
+    repeated = min(max(repeated, 0.0), 0.9)
     return Touch(
         gap=float(E @ d - numbers[DISTAL[0]] - fold.family.value * numbers[DISTAL[1]]),
         gradient=gradient,

@@ -48,26 +48,21 @@ LEAST_INSTANTS = 50  # that tell something
 LEAST_TURNING = 0.05  # share of them at which a joint turns one way
 # combinations of masses and inertias that a five-bar's torques see without gravity
 BODIES = 5
-WIDEST = {
-    "coulomb_friction": 5e-3,
-    "viscous_friction": 5e-3,
-}  # N m, N m s/rad of a motor: deviation beyond which it is not told
+# standard deviation beyond which a motor's friction is not told, N m and N m s/rad
+WIDEST = {"coulomb_friction": 5e-3, "viscous_friction": 5e-3}
 WIDEST_GRAVITY = 1.0  # m/s^2
 MOST_REST = 0.35  # of a joint's torque, RMS, that may stay unexplained
-MOST_APART = (
-    0.05  # of it, by which recordings may be explained worse together than alone
-)
+# share of a joint's torque by which recordings may be explained worse together than
+# alone
+MOST_APART = 0.05
 # of the instants: where friction turns round, or a belt rings, the others scatter more
 LEAST_USED = 0.25
-MOST_FACTOR = (
-    3.0  # of a combination of masses or inertias, over and under the description
-)
+# factor by which a combination of masses or inertias may differ from the description
+MOST_FACTOR = 3.0
 WEIGHT = 9.81  # m/s^2
-STRIBECK_SPEED, STRIBECK_SURE, STRIBECK_LEAST = (
-    0.3,
-    5.0,
-    2e-3,
-)  # rad/s; standard deviations and N m from which on it shows
+STRIBECK_SPEED = 0.3  # rad/s over which a Stribeck peak falls off
+# standard deviations, and N m, from which on such a peak is told
+STRIBECK_SURE, STRIBECK_LEAST = 5.0, 2e-3
 
 
 class TorquePrediction(NamedTuple):
@@ -288,7 +283,7 @@ def _too_little(motions: Sequence[SmoothMotion]) -> str:
 
 
 def _check_motion(motions: Sequence[SmoothMotion]) -> None:
-    """Enough of a motion, both ways.
+    """Check that the joints moved enough, and both ways.
 
     Raises:
         CalibrationError: there is not; says which joint lacks what.
@@ -318,7 +313,7 @@ def _check_motion(motions: Sequence[SmoothMotion]) -> None:
 def _check_agree(
     robot: RobotParameters, motions: Sequence[SmoothMotion], found: DynamicFit
 ) -> None:
-    """Several recordings are of one robot.
+    """Check that several recordings are of one robot.
 
     Raises:
         CalibrationError: they contradict each other.
@@ -342,7 +337,7 @@ def _check_agree(
 
 
 def _check_told(motions: Sequence[SmoothMotion], found: DynamicFit) -> None:
-    """The torques tell the bodies, the motors' friction and gravity.
+    """Check that the torques tell the bodies, the motors' friction and gravity.
 
     Raises:
         CalibrationError: they do not; says which number lacks what.
@@ -377,7 +372,7 @@ def _check_told(motions: Sequence[SmoothMotion], found: DynamicFit) -> None:
 
 
 def _check_explained(motions: Sequence[SmoothMotion], found: DynamicFit) -> None:
-    """The numbers explain the torques.
+    """Check that the numbers explain the torques.
 
     Raises:
         CalibrationError: they do not.
@@ -399,7 +394,7 @@ def _check_explained(motions: Sequence[SmoothMotion], found: DynamicFit) -> None
 
 
 def _check_bounds(robot: RobotParameters, found: DynamicFit) -> None:
-    """The result is the described robot, somewhat changed.
+    """Check that the result is the described robot, somewhat changed.
 
     Raises:
         CalibrationError: it is another one.
@@ -435,7 +430,7 @@ def _check_bounds(robot: RobotParameters, found: DynamicFit) -> None:
 
 
 def _told(found: DynamicFit) -> list[str]:
-    """The combinations that are told, and what else is worth a line."""
+    """Say which combinations are told, and what else is worth a line."""
     lines = []
     for one in found.combinations:
         unit, scale = UNITS[one.unit]
@@ -484,7 +479,7 @@ def _told(found: DynamicFit) -> list[str]:
 def _kept(
     robot: RobotParameters, found: DynamicFit, stiffnesses: Sequence[Stiffness | None]
 ) -> list[str]:
-    """What the recordings leave open, in words."""
+    """Say what the recordings leave open."""
     kept, together = [], []
     for row, one in enumerate(found.unknowns):
         if found.deviations[row] <= ALONE * found.prior[row]:

@@ -19,18 +19,15 @@ from dextar_control.model.model import library_of
 from dextar_control.model.regressor import regressors
 from dextar_control.symbols.types import Array
 
-CUTOFF, ORDER = (
-    80.0,
-    4,
-)  # Hz, of the filter that goes over the readings forwards and backwards
-# Hz, of that which goes over both sides of the equation: what of the torques is
-# compared
+CUTOFF = 80.0  # Hz, of the filter that smooths the readings forwards and backwards
+ORDER = 4  # of that filter
+# Hz, of the filter over both sides of the equation: up to there torques are compared
 PARALLEL = 20.0
-SPREAD = 0.05  # s before and after an instant over which that one carries something
-EDGE = 0.06  # s at both ends of a stretch that the filters have to come in
+SPREAD = 0.05  # s before and after an instant that the second filter mixes into it
+EDGE = 0.06  # s at either end of a stretch in which the filters settle
 WINDOW = 0.02  # s between the instants of the equation that count
-BLOCK = 0.25  # s within which the rest may have one cause
-# |s| from which on encoders tell where the platform is, and how it is accelerated
+BLOCK = 0.25  # s within which unexplained torques may have one cause
+# |s| above which the encoders tell where the platform is, and how it is accelerated
 LEAST_S = 0.2
 LEAST_RATE = 0.1  # rad/s of each joint, below which friction has no sure sign
 GAP = 3.5  # periods without a state that end a stretch
@@ -176,7 +173,7 @@ def _even(
     period: float,
     smooth: Array,
 ) -> dict[str, Array]:
-    """One stretch without a gap on an even grid."""
+    """Put one stretch without a gap on an even grid."""
     time = recorded.time[rows]
     grid = time[0] + period * np.arange(int(np.ptp(time) / period + 1e-6) + 1)
     readings = np.column_stack(
@@ -186,9 +183,8 @@ def _even(
         np.searchsorted(time, grid + 1e-6 * period, side="right") - 1, 0, len(rows) - 1
     )
     torque = recorded.torque[rows][held]
-    torque = 0.5 * (
-        torque + np.vstack([torque[:1], torque[:-1]])
-    )  # of a command that acts for a period, about its begin
+    # a command acts for a whole period: this is the mean about its beginning
+    torque = 0.5 * (torque + np.vstack([torque[:1], torque[:-1]]))
     q_a = sosfiltfilt(smooth, readings - np.array(robot.encoder_offset), axis=0)
     q_a_dot = np.gradient(q_a, period, axis=0)
     smooth_tau = sosfiltfilt(smooth, torque, axis=0)
@@ -206,7 +202,9 @@ def _even(
 def _jitter(
     recorded: MeasuredMotion, period: float, smooth: Array, parallel: Array
 ) -> Array:
-    """(n,) of the joints' accelerations, rad/s^2, by what the filter takes off."""
+    """Estimate the errors (n,) of the joints' accelerations, rad/s^2, by what the
+    filter takes off the readings.
+    """
     noise = (recorded.readings - sosfiltfilt(smooth, recorded.readings, axis=0)).std(
         axis=0
     )

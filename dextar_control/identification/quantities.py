@@ -29,9 +29,8 @@ UNITS = {
 Progress = Callable[[str], None]
 
 
-WORSE = (
-    3.0  # times what a recording alone leaves, that it may leave together with others
-)
+# times what a recording alone leaves, that it may leave together with others
+WORSE = 3.0
 
 
 class Quantity(NamedTuple):
@@ -66,7 +65,7 @@ class Quantity(NamedTuple):
 
 
 def _rounded(number: float) -> str:
-    """Without a sign where it rounds to zero."""
+    """Round a number, without a sign where it rounds to zero."""
     return f"{round(number, 4) + 0.0:.4f}"
 
 

@@ -90,8 +90,8 @@ def recorded_of(run: Run, robot: RobotParameters, record: str) -> MeasuredMotion
 
 
 def _held(stamps: Stamps, values: Array, at: Stamps) -> Array:
-    """Values (k, c) at stamps (k,), ns, held until the next one, at other stamps (m,);
-    nan where older than STALE.
+    """Hold values (k, c) at stamps (k,), ns, until the next one, and read them at other
+    stamps (m,), ns; nan where older than STALE.
     """
     if not len(stamps):
         return np.full((len(at), values.shape[1]), np.nan)

@@ -81,66 +81,40 @@ class CdrTemplate:
         duration: str = "",
     ) -> None:
         raw, places = canonical(message), places_in(message)
-        self._has_duration = bool(duration)
-        self._duration_offset = places[f"{duration}.sec"][0] if duration else 0
-        self._stamp_offset = places[f"{stamp}.sec"][0]
-        offsets = [places[path][0] for path in values] or [
+        clocks = [places[f"{path}.sec"][0] for path in (stamp, duration) if path]
+        floats = [places[path][0] for path in values] or [
             offset for offset, kind in places.values() if kind == "<f8"
         ]
-        runs: list[list[int]] = []  # [offset, first value, number of values]
-        for index, offset in enumerate(offsets):
-            if runs and offset == runs[-1][0] + 8 * runs[-1][2]:
-                runs[-1][2] += 1
-            else:
-                runs.append([offset, index, 1])
-        self._runs = [
-            (offset, first, first + size, struct.Struct(f"<{size}d"))
-            for offset, first, size in runs
-        ]
-        clocks = [
-            (self._stamp_offset, 8),
-            *([(self._duration_offset, 8)] if duration else []),
-        ]
-        moving = sorted([*clocks, *((offset, 8 * size) for offset, _, size in runs)])
-        edges = [
-            0,
-            *(edge for offset, size in moving for edge in (offset, offset + size)),
-            len(raw),
-        ]
-        self._still = [
-            slice(start, stop)
-            for start, stop in zip(edges[::2], edges[1::2], strict=True)
-            if stop > start
-        ]
-        self._fixed = tuple(raw[part] for part in self._still)
-        slots = sorted(
+        # What varies is packed from seconds and nanoseconds of stamp and duration, then
+        # the values; each letter of a code takes one of these numbers, from this on.
+        moving = sorted(
             [
-                *(
-                    (part.start, f"{part.stop - part.start}s", -1)
-                    for part in self._still
-                ),
-                *((at, "iI", -2) for at, _ in clocks),
-                *((at, f"{size}d", first) for at, first, size in runs),
+                *((offset, "iI", 2 * row) for row, offset in enumerate(clocks)),
+                *((offset, "d", 4 + row) for row, offset in enumerate(floats)),
             ]
         )
-        self._whole = struct.Struct("<" + "".join(code for _, code, _ in slots))
-        fixed: list[int] = []
-        clock: list[int] = []
-        numbers: dict[int, int] = {}
-        index = 0
-        for offset, code, first in slots:
-            size = 1 if first == -1 else 2 if first == -2 else int(code[:-1])
-            if first == -1:
-                fixed.append(index)
-            elif offset == self._stamp_offset:
-                clock = [index, index + 1]
-            elif first >= 0:
-                numbers |= {first + k: index + k for k in range(size)}
-            index += size
-        self._fixed_of, self._stamp_of = _chosen(fixed), _chosen(clock)
-        self._values_of = _chosen([numbers[k] for k in range(len(offsets))])
-        self._buffer = bytearray(raw)
-        self._length = len(raw)
+        edge, form = 0, "<"
+        order: list[int] = []  # -1, -2, ... are the parts between, which stay
+        self._still: list[tuple[int, int]] = []
+        for offset, code, first in (*moving, (len(raw), "", 0)):
+            if offset > edge:
+                self._still.append((edge, offset))
+                order.append(-len(self._still))
+                form += f"{offset - edge}s"
+            order += range(first, first + len(code))
+            form += code
+            edge = offset + 8
+        self._whole, self._length = struct.Struct(form), len(raw)
+        self._arranged = _chosen(order)
+        self._fixed = self._parts(raw)
+        self._packed = self._fixed[::-1]  # so that -1 is the first of them
+        self._fixed_of = _chosen([order.index(-1 - k) for k in range(len(self._still))])
+        self._stamp_of = _chosen([order.index(0), order.index(1)])
+        self._values_of = _chosen([order.index(4 + k) for k in range(len(floats))])
+
+    def _parts(self, raw: bytes) -> tuple[bytes, ...]:
+        """Return the bytes that stay."""
+        return tuple(raw[start:stop] for start, stop in self._still)
 
     def pack(self, stamp: int, values: Sequence[float], duration: int = 0) -> bytes:
         """Return the message's CDR bytes.
@@ -150,21 +124,13 @@ class CdrTemplate:
             values: those that vary, in their order.
             duration: ns.
         """
-        buffer = self._buffer
-        if self._has_duration:
-            struct.pack_into(
-                "<iI",
-                buffer,
-                self._duration_offset,
-                duration // NANOSECONDS,
-                duration % NANOSECONDS,
-            )
-        struct.pack_into(
-            "<iI", buffer, self._stamp_offset, stamp // NANOSECONDS, stamp % NANOSECONDS
+        numbers = (
+            *divmod(stamp, NANOSECONDS),
+            *divmod(duration, NANOSECONDS),
+            *values,
+            *self._packed,
         )
-        for offset, first, last, layout in self._runs:
-            layout.pack_into(buffer, offset, *values[first:last])
-        return bytes(buffer)
+        return self._whole.pack(*self._arranged(numbers))
 
     def unpack(self, raw: bytes) -> tuple[int, list[float]] | None:
         """Return (stamp in ns, values), or None when anything but stamp and values
@@ -186,4 +152,4 @@ class CdrTemplate:
         have this layout.
         """
         if len(raw) == self._length:
-            self._fixed = tuple(raw[part] for part in self._still)
+            self._fixed = self._parts(raw)

@@ -4,9 +4,11 @@ alike.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -38,8 +40,19 @@ from dextar_control.contract import resources
 from dextar_control.contract.caches import prepare_environment
 from dextar_control.contract.clocks import UnsteppedClock
 from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.former_names import (
+    former_names,
+    present_arguments,
+    present_names,
+    renamed_in_words,
+)
 from dextar_control.contract.help import node_help
-from dextar_control.contract.parameters import Parameter, check_value, settled
+from dextar_control.contract.parameters import (
+    Parameter,
+    check_value,
+    nearest_in_words,
+    settled,
+)
 from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.robot import (
     PREFIX,
@@ -118,6 +131,15 @@ class RunnableNode(Node):
         """Leave the graph."""
         Node.destroy_node(self)
 
+    def tell_renamed(self, renamed: Mapping[str, str]) -> None:
+        """Warn of parameters that were given by former names, where there are any.
+
+        Args:
+            renamed: present names by former ones.
+        """
+        if renamed:
+            self.get_logger().warning(renamed_in_words(renamed))
+
     def finish(self, exit_code: int = 0) -> None:
         """Leave the spin loop with this exit code."""
         self.exit_code = exit_code
@@ -153,9 +175,11 @@ class DextarNode(RunnableNode):
         super().__init__(name, cli_args=cli_args)
         self._specs = {spec.name: spec for spec in self.PARAMETERS}
         self._defaults = resources.node_defaults(name)
-        overrides = {
-            key: parameter.value for key, parameter in self._parameter_overrides.items()
-        }
+        overrides, renamed = present_names(
+            self.PARAMETERS,
+            {key: given.value for key, given in self._parameter_overrides.items()},
+        )
+        self.tell_renamed(renamed)
         self.values = settled(name, self.PARAMETERS, overrides, robot=robot)
         for spec in self._specs.values():
             value = self.values[spec.name]
@@ -263,6 +287,28 @@ class DextarNode(RunnableNode):
         self, name: str, value: ParameterValue, descriptor: ParameterDescriptor
     ) -> None:
         self.declare_parameter(name, value, descriptor, ignore_override=True)
+
+    def set_parameters_atomically(
+        self, parameter_list: list[RosParameter]
+    ) -> SetParametersResult:
+        """Set parameters as rclpy does; a name that is not declared is refused with the
+        one that may be meant.
+
+        Former names are refused here, not taken as at the start: what is set must be
+        what ``ros2 param get`` and the events tell, under one name.
+        """
+        names = former_names(self.PARAMETERS)
+        for parameter in parameter_list:
+            name = parameter.name
+            if name in names:
+                reason = f"'{name}' is now called '{names[name]}'; set that"
+            elif not self.has_parameter(name):
+                near = nearest_in_words(name, self.PARAMETERS)
+                reason = f"unknown parameter '{name}'{near}"
+            else:
+                continue
+            return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
 
     def _on_set(self, parameters: list[RosParameter]) -> SetParametersResult:
         changes: dict[str, ParameterValue] = {}
@@ -420,8 +466,15 @@ def run_node(
         if (code := _answer(make, words)) is not None:
             return code
         prepare_middleware()
-        rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+        with contextlib.ExitStack() as stack:
+            words, renamed = present_arguments(
+                make.NAME,
+                words,
+                lambda: Path(stack.enter_context(tempfile.TemporaryDirectory())),
+            )
+            rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
         node = cast(Callable[[], N], make)()
+        node.tell_renamed(renamed)
         stop.starting = False
         executor = make_executor()
         executor.add_node(node)

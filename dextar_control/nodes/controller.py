@@ -22,9 +22,9 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.errors import DextarError, ParameterError, StateError
-from dextar_control.contract.parameters import SCHEDULING, Parameter
+from dextar_control.contract.node_parameters import PARAMETERS
 from dextar_control.contract.plain_data import ParameterValue
-from dextar_control.contract.settings import SETTINGS, Settings
+from dextar_control.contract.settings import SETTING_NAMES, Settings
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import JOINT_STATES, TRAJECTORY
 from dextar_control.control.loop import ControlLoop
@@ -47,96 +47,6 @@ from dextar_control.nodes.statistics import Statistics
 from dextar_control.planning.certificate import Certificate
 from dextar_control.symbols.types import Array
 
-PARAMETERS = (
-    *SCHEDULING,
-    Parameter(
-        "autostart",
-        "The controller configures and activates itself at its start; if false, it"
-        " waits for the lifecycle services.",
-    ),
-    Parameter(
-        "enabled",
-        "The controller enables itself once the joint states have been healthy for"
-        " healthy_time; if false, it waits for ~/enable.",
-    ),
-    Parameter(
-        "healthy_time",
-        "Joint states must have come without gap, refusal, repetition or step back for"
-        " this long before torque is allowed; 0 allows it at once.",
-        0.0,
-        60.0,
-        unit="s",
-        live=True,
-    ),
-    Parameter(
-        "lockstep",
-        "Joint states are read reliably and may come at any pace, as from a plant in"
-        " lockstep.",
-    ),
-    Parameter(
-        "assembly_mode",
-        "The robot stands in the assembly mode with this sign of s, +1 or -1; it"
-        " changes only while no torque acts.",
-        -1,
-        1,
-        live=True,
-    ),
-    Parameter(
-        "task.sample_period",
-        "The control loop expects a joint state once in this period.",
-        1e-4,
-        0.1,
-        unit="s",
-    ),
-    Parameter(
-        "state_timeout",
-        "A gap longer than this between the stamps of two states is a fault; a silence"
-        " this long takes the torque away until the next state.",
-        1e-3,
-        10.0,
-        unit="s",
-        live=True,
-    ),
-    Parameter(
-        "stall_timeout",
-        "A silence of the joint states that is longer than this by the steady clock is"
-        " a fault, except in lockstep.",
-        1e-3,
-        60.0,
-        unit="s",
-        live=True,
-    ),
-    Parameter(
-        "reference_timeout",
-        "A trajectory is dropped when it has to wait longer than this for its start or"
-        " for the controller to be enabled.",
-        0.0,
-        3600.0,
-        unit="s",
-        live=True,
-    ),
-    Parameter(
-        "max_reference_age",
-        "A trajectory is refused when it arrives more than this after it was served, or"
-        " before it by the clocks.",
-        1e-3,
-        3600.0,
-        unit="s",
-        live=True,
-    ),
-    Parameter(
-        "publish_effort_array",
-        "The controller publishes its torques on effort_commands too, for drivers that"
-        " read an array.",
-    ),
-    Parameter(
-        "publish_readable",
-        "The controller publishes its state and criterion on .../readable too, as"
-        " messages of dextar_interfaces.",
-    ),
-    *SETTINGS,
-)
-
 # s until the thread that checks a trajectory lets the control thread go on.
 SWITCH_INTERVAL = 2e-4
 WATCH_PERIOD = 0.01  # s
@@ -154,15 +64,16 @@ class ControllerNode(ManagedNode):
     """Answers each joint state with a torque and tells what it did.
 
     It is a managed node: ``configure`` builds everything from the parameters,
-    ``activate`` begins to answer states. Torque needs healthy states (``healthy_time``)
-    and nobody else who commands; ``enabled`` asks for it once, by itself. A gap of more
-    than ``state_timeout`` between the stamps of two states is a fault (no torque until
-    ``~/reset`` and ``~/enable``); while no state comes nothing is commanded at all, and
-    the drive's own time-out takes the torque away.
+    ``activate`` begins to answer states. Torque needs healthy states
+    (``joint_states.healthy_time``) and nobody else who commands; ``enabled`` asks for
+    it once, by itself. A gap of more than ``joint_states.timeout`` between the stamps
+    of two states is a fault (no torque until ``~/reset`` and ``~/enable``); while no
+    state comes nothing is commanded at all, and the drive's own time-out takes the
+    torque away.
     """
 
     NAME = "controller"
-    PARAMETERS = PARAMETERS
+    PARAMETERS = PARAMETERS[NAME]
 
     def __init__(self) -> None:
         super().__init__()
@@ -224,8 +135,8 @@ class ControllerNode(ManagedNode):
         self._states_in = template(JOINT_STATES)
         self._outputs = Outputs(
             self,
-            array=values["publish_effort_array"],
-            readable=values["publish_readable"],
+            array=values["publish.effort_array"],
+            readable=values["publish.readable"],
         )
         self._closers.append(self._outputs.close)
         self._reference = ReferenceReader(self)
@@ -266,7 +177,7 @@ class ControllerNode(ManagedNode):
         self._passed, self._begun = self._loop.passed, -1
         if self._latched[0]:
             self._loop.fault(self._latched[0])
-        elif self._automatic and self.values["healthy_time"] == 0.0:
+        elif self._automatic and self.values["joint_states.healthy_time"] == 0.0:
             self._enable_itself()
         self._logged_phase = (self._loop.phase, self._loop.reason)
         self._active = True
@@ -325,9 +236,7 @@ class ControllerNode(ManagedNode):
         """
         if "assembly_mode" in changes:
             _check_mode(changes)
-        if self._loop is not None and not changes.keys().isdisjoint(
-            Settings.__dataclass_fields__
-        ):
+        if self._loop is not None and not changes.keys().isdisjoint(SETTING_NAMES):
             before = self._loop.settings
             self._loop.configure(Settings.from_values(self.values))
             try:
@@ -397,7 +306,7 @@ class ControllerNode(ManagedNode):
             if stamp == self._stamp and self._outputs.can_repeat:
                 self._repeat(stamp)
                 return
-            limit = self.values["state_timeout"]
+            limit = self.values["joint_states.timeout"]
             arrival = None if self._lockstep else begin
             gap = (stamp - self._stamp) / NANOSECONDS if self._stamp >= 0 else 0.0
             if gap > limit and loop.phase not in (Phase.IDLE, Phase.FAULT):
@@ -409,7 +318,7 @@ class ControllerNode(ManagedNode):
             if (
                 self._automatic
                 and self._stream.healthy_for(limit, arrival)
-                >= self.values["healthy_time"]
+                >= self.values["joint_states.healthy_time"]
             ):
                 self._enable_itself()
             pose = None if self._poses is None else self._poses.take()
@@ -585,7 +494,10 @@ class ControllerNode(ManagedNode):
         age = time.perf_counter() - self._statistics.arrival
         if math.isnan(age) or self._lockstep:
             return
-        limit, fatal = self.values["state_timeout"], self.values["stall_timeout"]
+        limit, fatal = (
+            self.values["joint_states.timeout"],
+            self.values["joint_states.stall_timeout"],
+        )
         if age > limit and not self._stalled:
             self._stalled = True
             self._statistics.counts["stalls"] += 1
@@ -629,7 +541,9 @@ class ControllerNode(ManagedNode):
         if self._other_commanders or self._states_are_mixed:
             raise StateError(self._other_commanders or self._second_publishers)
         self._stream.check(
-            self.values["healthy_time"], self.values["state_timeout"], self._now()
+            self.values["joint_states.healthy_time"],
+            self.values["joint_states.timeout"],
+            self._now(),
         )
 
     def _enable_itself(self) -> None:
@@ -748,7 +662,7 @@ class ControllerNode(ManagedNode):
                 {**values, "phase": "", "reason": ""},
             )
         self._tell_crossings(loop)
-        limit = self.values["state_timeout"]
+        limit = self.values["joint_states.timeout"]
         values |= {
             "phase": loop.phase.name if self._active else "",
             "reason": loop.reason,

@@ -6,10 +6,7 @@ import math
 
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import Phase
-from dextar_control.control.verdicts import Verdict
 from dextar_control.nodes.reference import ReferenceReader
-
-WORDS = {verdict: verdict.name.lower() for verdict in Verdict}
 
 
 def loop_values(
@@ -25,7 +22,7 @@ def loop_values(
     """
     tick = loop.tick
     x, y = tick.x_hat.tolist() if tick is not None else (math.nan, math.nan)
-    words = [WORDS[passed.verdict] for passed in loop.passed]
+    words = [passed.verdict.name.lower() for passed in loop.passed]
     confidences = [f"{passed.confidence:.3f}" for passed in loop.passed]
     return {
         "x": x,
@@ -46,16 +43,10 @@ def loop_values(
         "stopped": loop.phase is Phase.SAFE_STOP and loop.stopped is not None,
         "reference_time": tick.reference_time if tick else 0.0,
         "duration": loop.certificate.duration if loop.certificate else 0.0,
-        **watched(loop),
-    }
-
-
-def watched(loop: ControlLoop) -> dict[str, object]:
-    """Return each watch of the loop with its limit."""
-    watches = getattr(loop, "watches", {})
-    return {
-        f"watch_{name}": f"{value:.4g} of {limit:.4g}"
-        for name, (value, limit) in watches.items()
+        **{
+            f"watch_{name}": f"{value:.4g} of {limit:.4g}"
+            for name, (value, limit) in loop.watches.items()
+        },
     }
 
 

@@ -31,15 +31,11 @@ LAST_RESULT = 1.0  # s in which the result of a trip that a signal ended is sent
 class GoalStop:
     """True once the goal's client cancels it, or a signal asks this process to end."""
 
-    def __init__(
-        self, goal: ServerGoalHandle | None, signals: StopSignal | None
-    ) -> None:
+    def __init__(self, goal: ServerGoalHandle, signals: StopSignal | None) -> None:
         self._goal, self._signals = goal, signals
 
     def __bool__(self) -> bool:
-        return bool(self._signals) or (
-            self._goal is not None and self._goal.is_cancel_requested
-        )
+        return bool(self._signals) or self._goal.is_cancel_requested
 
     def check(self) -> None:
         """Raise ``Interrupted`` once it is true."""
@@ -61,7 +57,7 @@ class GoServer(OperatorClient, RunnableNode):
     def __init__(self) -> None:
         self.signals: StopSignal | None = None
         self.busy = threading.Lock()
-        super().__init__("", GoalStop(None, None), self.NAME)
+        super().__init__("", name=self.NAME)
         self._server = ActionServer(
             self, Go, GO, self._execute, cancel_callback=lambda _: CancelResponse.ACCEPT
         )

@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from visualization_msgs.msg import Marker, MarkerArray
 
 from dextar_control.contract.errors import DextarError
-from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.node_parameters import PARAMETERS
 from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.topics import JOINT_STATES, MARKERS
 from dextar_control.nodekit.node import DextarNode, qos, run_node
@@ -22,28 +22,6 @@ from dextar_control.nodekit.scheduling import stand_back
 from dextar_control.nodes.newest import NewestSamples
 from dextar_control.nodes.scene import Scene, View, to_array, wipe
 from dextar_control.symbols.types import Array
-
-PARAMETERS = (
-    Parameter(
-        "enabled",
-        "The node draws; if false, it reads nothing and clears the display.",
-        live=True,
-    ),
-    Parameter("rate", "The drawing is renewed at this rate.", 1.0, 60.0, unit="Hz"),
-    Parameter(
-        "trail",
-        "The path of the end effector stays visible for this long.",
-        0.0,
-        60.0,
-        unit="s",
-        live=True,
-    ),
-    Parameter(
-        "text",
-        "The drawing shows the phase and scalars as text below the robot.",
-        live=True,
-    ),
-)
 
 STILL_PERIOD = 1.0  # s
 DIAGNOSTICS_PERIOD = 1.0  # s
@@ -58,7 +36,7 @@ class MarkerNode(DextarNode):
     """
 
     NAME = "markers"
-    PARAMETERS = PARAMETERS
+    PARAMETERS = PARAMETERS[NAME]
 
     def __init__(self) -> None:
         super().__init__()

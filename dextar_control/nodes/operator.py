@@ -18,17 +18,16 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
-from rclpy.utilities import try_shutdown
 from rich.progress import BarColumn, TimeElapsedColumn
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.plain_data import ParameterValue
-from dextar_control.contract.signals import EXIT_FAILED, StopSignal, tell
+from dextar_control.contract.signals import EXIT_FAILED, tell
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn, plain
 from dextar_control.contract.topics import DIAGNOSTICS, NODES
+from dextar_control.nodekit.client import client_node
 from dextar_control.nodekit.domain import discovery
 from dextar_control.nodekit.node import prepare_middleware, qos
 from dextar_control.nodes.next_step import next_step, why_not
@@ -67,7 +66,8 @@ class OperatorClient(Node):
 
     Args:
         namespace: of the robot's nodes.
-        stop: what asks for an end; of the commands the signals to this process.
+        stop: what asks for an end, as the signals to a command's process; None asks
+            for none.
         name: of the node.
 
     Attributes:
@@ -76,7 +76,7 @@ class OperatorClient(Node):
     """
 
     def __init__(
-        self, namespace: str, stop: StopRequest, name: str = "operator"
+        self, namespace: str, stop: StopRequest | None = None, name: str = "operator"
     ) -> None:
         super().__init__(
             name,
@@ -133,7 +133,7 @@ class OperatorClient(Node):
         """
         deadline = time.monotonic() + seconds
         while not condition():
-            if not through:
+            if self.stop and not through:
                 self.stop.check()
             if time.monotonic() > deadline:
                 return False
@@ -430,13 +430,16 @@ def task_values(asked: Mapping[str, ParameterValue]) -> dict[str, ParameterValue
     values: dict[str, ParameterValue] = {}
     if any(asked[name] is not None for name in ("tour", "point", "excite")):
         values = {
-            "tour": asked["tour"] or 0,
-            "point": asked["point"] or [],
-            "excite": asked["excite"] or 0.0,
+            "task.tour": asked["tour"] or 0,
+            "task.point": asked["point"] or [],
+            "task.excite": asked["excite"] or 0.0,
+            "task.tour_points": [],
+            "task.direction": 0,
         }
-        values |= {"tour_points": [], "direction": 0}
     return values | {
-        name: asked[name] for name in ("duration", "repeat") if asked[name] is not None
+        f"task.{name}": asked[name]
+        for name in ("duration", "repeat")
+        if asked[name] is not None
     }
 
 
@@ -448,21 +451,8 @@ def operator(namespace: str) -> Iterator[OperatorClient]:
         ParameterError: the namespace is none.
     """
     prepare_middleware()
-    stop = StopSignal()
-    stop.starting = False
-    try:
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        node = OperatorClient(namespace, stop)
-    except Exception as error:  # rcl raises its own types for bad names
-        try_shutdown()
-        stop.restore()
-        raise ParameterError(" ".join(str(error).replace("^", "").split())) from error
-    try:
-        yield node
-    finally:
-        node.destroy_node()
-        try_shutdown()
-        stop.restore()
+    with client_node(lambda stop: OperatorClient(namespace, stop)) as (me, _):
+        yield me
 
 
 class TripFollower:
@@ -652,7 +642,8 @@ def go(arguments: argparse.Namespace) -> int:
             lambda text, share: bars.update(bar, description=text, completed=share),
             lambda text: console.print(text, soft_wrap=True),
         )
-        me.stop.check()
+        if me.stop:
+            me.stop.check()
     return 0 if good else EXIT_FAILED
 
 

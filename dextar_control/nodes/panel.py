@@ -19,6 +19,7 @@ from rclpy.executors import Executor
 
 from dextar_control.contract import style
 from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.node_parameters import PARAMETERS
 from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.resources import node_defaults
@@ -34,29 +35,14 @@ from dextar_control.nodekit.node import DextarNode, run_node
 from dextar_control.nodekit.scheduling import stand_back
 from dextar_control.nodekit.worker import GivenUp, JobQueue
 from dextar_control.nodes.newest import NewestSamples
-from dextar_control.nodes.panel_operator import SPECS, PanelOperator, task_of
+from dextar_control.nodes.panel_operator import SET, PanelOperator, task_of
 from dextar_control.nodes.scene import Scene, View
 from dextar_control.nodes.task import Task, in_words, plan_from
-from dextar_control.panel.server import Answer, PanelServer
+from dextar_control.panel.server import PanelServer, Reply
 from dextar_control.panel.words import shown_margins, trouble_and_remedy
 from dextar_control.planning.locus import LocusPoint, nearest_point
 from dextar_control.symbols.types import Array
 
-PARAMETERS = (
-    Parameter(
-        "host",
-        "The page is served at this address (option --host); any but this machine's own"
-        " asks for a token, which is printed.",
-    ),
-    Parameter(
-        "port",
-        "The page is served at this port (option --port) or the first free one after"
-        " it; 0 takes any.",
-        0,
-        65535,
-    ),
-    Parameter("rate", "The page is renewed at this rate.", 5.0, 60.0, unit="Hz"),
-)
 Told = Callable[[bool, str, Mapping[str, object]], None]
 # Of the command ``dextar panel``, for short; ``--namespace`` besides.
 OPTIONS = {"--host": "host", "--port": "port"}
@@ -114,7 +100,7 @@ class PanelNode(DextarNode):
     """
 
     NAME = "panel"
-    PARAMETERS = PARAMETERS
+    PARAMETERS = PARAMETERS[NAME]
     SHORT = (
         ("--host HOST, --port PORT", "short for -p host:=HOST, -p port:=PORT"),
         ("--namespace NS", "short for -r __ns:=NS: the robot of that namespace"),
@@ -148,9 +134,7 @@ class PanelNode(DextarNode):
             {"family": arc.family.name.lower(), "x": _rounded(arc.x[::4])}
             for arc in self._scene.arcs
         ]
-        specs = {
-            node: [_spec(node, spec) for spec in table] for node, table in SPECS.items()
-        }
+        specs = {node: [_spec(node, spec) for spec in PARAMETERS[node]] for node in SET}
         lines = {
             f"{kind}{part}": line._asdict()
             for (kind, part), line in style.LINES.items()
@@ -187,7 +171,7 @@ class PanelNode(DextarNode):
         return self._report
 
     def ask(
-        self, name: str, asked: Mapping[str, ParameterValue], answer: Answer
+        self, name: str, asked: Mapping[str, ParameterValue], answer: Reply
     ) -> None:
         """Do what the driver asks for; see ``panel_operator``.
 
@@ -215,7 +199,7 @@ class PanelNode(DextarNode):
             "set": lambda: me.put(asked["node"], asked["values"], told),
             "record": lambda: me.record(
                 _flag(asked, "on"),
-                {key: str(asked[key]) for key in ("name", "notes")},
+                {f"run.{key}": str(asked[key]) for key in ("name", "notes")},
                 told,
             ),
             "plan": lambda: self._plan(task_of(asked), told),
@@ -246,7 +230,9 @@ class PanelNode(DextarNode):
             progress(0.0, "planning")
             plan = task.plan(self.robot, progress)
             if origin is not None:
-                plan = plan_from(self.robot, origin, plan, values["approach_speed"])
+                plan = plan_from(
+                    self.robot, origin, plan, values["task.approach_speed"]
+                )
             seen = plan.certificate
             rows = np.unique(
                 np.linspace(0, len(seen.profile.time) - 1, PLAN_POINTS).astype(int)

@@ -18,12 +18,12 @@ from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.errors import DextarError, ParameterError
-from dextar_control.contract.parameters import Parameter, check_value
+from dextar_control.contract.node_parameters import PARAMETERS
+from dextar_control.contract.parameters import check_value
 from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.signals import Interrupted
 from dextar_control.nodekit.parameter_snapshot import ParameterSnapshot
-from dextar_control.nodes import controller, recorder, trajectory_server
 from dextar_control.nodes.operator import (
     MOVING,
     TICK,
@@ -32,12 +32,8 @@ from dextar_control.nodes.operator import (
     task_values,
 )
 
-SPECS: dict[str, tuple[Parameter, ...]] = {
-    "controller": controller.PARAMETERS,
-    "trajectory_server": trajectory_server.PARAMETERS,
-    "recorder": recorder.SPECS,
-}
-"""The parameters of the nodes that a panel sets."""
+SET = ("controller", "trajectory_server", "recorder")
+"""The nodes whose parameters a panel sets."""
 # Parameters that the controller takes only where it is built anew.
 REBUILT = ("law", "estimator")
 KINDS = ("trip", "point", "tour")  # of a task
@@ -49,16 +45,6 @@ EVENTS_DEPTH = 100
 Job = Callable[[], str]
 
 
-class _NeverStops:
-    """Stands where a command has its signals: a panel is ended by its own node's."""
-
-    def __bool__(self) -> bool:
-        return False
-
-    def check(self) -> None:
-        """Do nothing: no signal comes."""
-
-
 class PanelOperator(OperatorClient):
     """The operator's client for several threads that wait; whoever made it spins it.
 
@@ -66,7 +52,7 @@ class PanelOperator(OperatorClient):
         namespace: of the robot's nodes.
 
     Attributes:
-        values: of the parameters of each node of ``SPECS``; empty where they are not
+        values: of the parameters of each node of ``SET``; empty where they are not
             known.
         lines: what was said last, each with its number, the oldest first.
         progress: of the trip that this panel has started: what is under way, and how
@@ -74,10 +60,10 @@ class PanelOperator(OperatorClient):
     """
 
     def __init__(self, namespace: str) -> None:
-        super().__init__(namespace, _NeverStops())
+        super().__init__(namespace)
         self._news = threading.Condition()
         self._leaving = False
-        self._snapshots = {name: ParameterSnapshot(self, name) for name in SPECS}
+        self._snapshots = {name: ParameterSnapshot(self, name) for name in SET}
         self._threads = {
             name: ThreadPoolExecutor(1, name)
             for name in ("stop", "drop", "trip", "desk")
@@ -144,7 +130,7 @@ class PanelOperator(OperatorClient):
         return {
             name: {
                 spec.name: known[spec.name]
-                for spec in SPECS[name]
+                for spec in PARAMETERS[name]
                 if spec.name in known
             }
             for name, snapshot in self._snapshots.items()
@@ -231,7 +217,7 @@ class PanelOperator(OperatorClient):
             ParameterError: there is no such parameter, or its value cannot be.
         """
         checked, defaults = {}, node_defaults(node)
-        specs = {spec.name: spec for spec in SPECS.get(node, ())}
+        specs = {spec.name: spec for spec in PARAMETERS[node]} if node in SET else {}
         for name, value in values.items():
             if name not in specs:
                 raise ParameterError(f"there is no parameter '{name}' of {node}")
@@ -244,7 +230,7 @@ class PanelOperator(OperatorClient):
             if anew:
                 self._rebuild(anew)
             return "; ".join(
-                f"{name} is {value}" for name, value in (checked | anew).items()
+                f"'{name}' is {value}" for name, value in (checked | anew).items()
             )
 
         self._do("desk", work, answer)
@@ -363,7 +349,7 @@ def task_of(asked: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
     if kind == "trip":
         values["task.goal"] = asked["goal"]
     defaults = node_defaults("trajectory_server")
-    specs = {spec.name: spec for spec in trajectory_server.PARAMETERS}
+    specs = {spec.name: spec for spec in PARAMETERS["trajectory_server"]}
     return {
         name: check_value(specs[name], value, defaults[name])
         for name, value in values.items()

@@ -40,7 +40,7 @@ class Readable:
             types = importlib.import_module(f"{INTERFACES}.msg")
         except ImportError as error:
             raise ParameterError(
-                f"publish_readable = true: {WITHOUT_INTERFACES}, or leave it false"
+                f"publish.readable = true: {WITHOUT_INTERFACES}, or leave it false"
             ) from error
         self._messages = types.ControllerState(), types.Criterion()
         self.publishers = [

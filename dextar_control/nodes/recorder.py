@@ -14,9 +14,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.executors import Executor
 from std_srvs.srv import Trigger
 
-from dextar_control.bags.mcap_file import COMPRESSIONS, SerializedMessage
+from dextar_control.bags.mcap_file import SerializedMessage
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
-from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.node_parameters import PARAMETERS
 from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import DIAGNOSTICS, TOPICS
@@ -45,66 +45,6 @@ HEARD = {
 # What a topic raises whose type is not installed, or is none.
 NO_TOPIC = (DextarError, ModuleNotFoundError, AttributeError, ValueError)
 
-SPECS = (
-    Parameter(
-        "output",
-        "The recording is written to this .mcap file, whose folder becomes the bag;"
-        " {stamp} is its start in UTC.",
-    ),
-    Parameter(
-        "record_from_start",
-        "The recorder begins a bag at its start; if false, it waits for ~/start.",
-    ),
-    Parameter("name", "The bag keeps this name of the run.", live=True),
-    Parameter("notes", "The bag keeps these notes on the run.", live=True),
-    Parameter(
-        "tags",
-        "The bag keeps these tags of the run, which are separated by spaces.",
-        live=True,
-    ),
-    Parameter(
-        "max_bag_size",
-        "The recorder begins the next file when one reaches this size; 0 does not"
-        " split.",
-        0,
-        unit="bytes",
-    ),
-    Parameter(
-        "max_bag_duration",
-        "The recorder begins the next file when one lasts this long; 0 does not split.",
-        0.0,
-        unit="s",
-    ),
-    Parameter(
-        "sync_period",
-        "The recorder waits for the disk at this interval, which is what a power cut"
-        " can cost.",
-        0.1,
-        3600.0,
-        unit="s",
-    ),
-    Parameter(
-        "reliable",
-        "The recorder asks the publishers to repeat lost samples; false costs them"
-        " less.",
-    ),
-    Parameter(
-        "compression",
-        "The recorder compresses each chunk of a bag by this method.",
-        choices=tuple(COMPRESSIONS),
-    ),
-    Parameter(
-        "parameters_of",
-        "The bag keeps the parameters of these nodes, whose names are separated by"
-        " spaces.",
-    ),
-    Parameter(
-        "extra_topics",
-        "The recorder records these further topics too, whose names are separated by"
-        " spaces.",
-    ),
-)
-
 
 class RecorderNode(DextarNode):
     """Records every topic of the package, and those that are asked for, into an MCAP
@@ -128,29 +68,29 @@ class RecorderNode(DextarNode):
     """
 
     NAME = "recorder"
-    PARAMETERS = SPECS
+    PARAMETERS = PARAMETERS[NAME]
     ROBOT = False
 
     def __init__(self) -> None:
         super().__init__()
-        if 0 < self.values["max_bag_size"] < LEAST_SPLIT:
-            size = self.values["max_bag_size"]
+        if 0 < self.values["bag.max_size"] < LEAST_SPLIT:
+            size = self.values["bag.max_size"]
             raise ParameterError(
-                f"parameter 'max_bag_size' = {size}; it must be 0 or >= {LEAST_SPLIT}"
+                f"parameter 'bag.max_size' = {size}; it must be 0 or >= {LEAST_SPLIT}"
                 " bytes"
             )
         self._recording: BagRecording | None = None
         self._made: Counter[Path] = Counter()
         self._unnumbered: set[str] = set()
-        reliable = self.values["reliable"]
+        reliable = self.values["topics.reliable"]
         self._topics = [
             RecordedTopic(self, topic, profile_of(topic, reliable))
             for topic in (*TOPICS, *ALONGSIDE)
         ]
-        self._wanted = self.values["extra_topics"].split()
+        self._wanted = self.values["topics.extra"].split()
         self._snapshots = [
             ParameterSnapshot(self, name)
-            for name in self.values["parameters_of"].split()
+            for name in self.values["bag.parameters_of"].split()
         ]
         self.create_service(Trigger, "~/start", self._on_start)
         self.create_service(Trigger, "~/stop", self._on_stop)
@@ -162,7 +102,11 @@ class RecorderNode(DextarNode):
         """Use name, notes and tags as they are set last."""
         if self._recording is not None:
             self._recording.record.labels.update(
-                {key: value for key, value in changes.items() if key in LABELS}
+                {
+                    key: changes[name]
+                    for key in LABELS
+                    if (name := f"run.{key}") in changes
+                }
             )
 
     def begin(self) -> None:

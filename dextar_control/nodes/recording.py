@@ -58,14 +58,15 @@ class BagRecording:
         values = node.values
         self.writer = BagWriter(
             path,
-            values["compression"],
-            max_size=values["max_bag_size"],
-            max_duration=values["max_bag_duration"],
-            sync_period=values["sync_period"],
+            values["bag.compression"],
+            max_size=values["bag.max_size"],
+            max_duration=values["bag.max_duration"],
+            sync_period=values["bag.sync_period"],
             folder=True,
         )
         self.record = RunRecord(
-            {key: values[key] for key in LABELS}, get_rmw_implementation_identifier()
+            {key: values[f"run.{key}"] for key in LABELS},
+            get_rmw_implementation_identifier(),
         )
         self._node, self._topics, self._snapshots = node, topics, snapshots
         self._known: tuple[object, ...] = ()

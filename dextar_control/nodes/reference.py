@@ -111,19 +111,20 @@ class ReferenceReader:
 
         Args:
             loop: that tracks the trajectory.
-            limits: the parameters ``max_reference_age`` and ``reference_timeout``, s.
+            limits: the parameters ``trajectory.max_age`` and
+                ``trajectory.wait_timeout``, s.
             clock: by which waiting is measured, s; nan while there is none.
             now: of the last state, s; nan before the first.
             keep: whether the loop cannot take one yet, but is going to.
         """
         before = self.note
         try:
-            if (taken := self._take(loop, limits["max_reference_age"])) is not None:
+            if (taken := self._take(loop, limits["trajectory.max_age"])) is not None:
                 before = ""
                 self._admit(
-                    loop, taken[0], limits["reference_timeout"], clock, now, keep
+                    loop, taken[0], limits["trajectory.wait_timeout"], clock, now, keep
                 )
-            self._drop_old(loop, limits["reference_timeout"], clock)
+            self._drop_old(loop, limits["trajectory.wait_timeout"], clock)
         except DextarError as error:
             before = ""
             self.refuse(str(error))

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from dextar_control.contract.errors import ParameterError, TrajectoryError
-from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.planning.certificate import Certificate
@@ -25,7 +24,7 @@ from dextar_control.planning.planner import (
     plan_return_trip_through,
 )
 from dextar_control.planning.regular import side_of
-from dextar_control.planning.search import LOCUS_TIMES, Progress, silent
+from dextar_control.planning.search import Progress, silent
 from dextar_control.planning.tour import plan_tour
 from dextar_control.planning.trajectory import join
 from dextar_control.symbols.types import Array
@@ -38,110 +37,7 @@ UNREACHED = (
     " of the controller)"
 )
 MOST_LINES = 24  # of a certificate in words
-CRITERIA = tuple(criterion.name.lower() for criterion in CrossingCriterion)
-
-PARAMETERS = (
-    Parameter(
-        "task.start",
-        "The trip begins at this end effector position A, where the robot is taken to"
-        " stand until it is heard.",
-        size=2,
-        unit="m",
-        live=True,
-    ),
-    Parameter(
-        "task.goal",
-        "The trip A -> B -> A turns round at this end effector position B.",
-        size=2,
-        unit="m",
-        live=True,
-    ),
-    Parameter(
-        "point",
-        "A return trip through this point of the locus replaces the trip A -> B -> A;"
-        " [] plans none.",
-        size=2,
-        unit="m",
-        live=True,
-    ),
-    Parameter(
-        "direction",
-        "A return trip has this sign of s behind its point; 0 leads away from the side"
-        " of A.",
-        -1,
-        1,
-        live=True,
-    ),
-    Parameter(
-        "tour",
-        "A tour of this many crossings spread over the locus replaces the trip, the"
-        " other way round if negative; 0 plans none.",
-        -1000,
-        1000,
-        live=True,
-    ),
-    Parameter(
-        "tour_points",
-        "A tour through these points of the locus, x, y, x, y, ..., replaces the trip;"
-        " [] plans none.",
-        unit="m",
-        live=True,
-    ),
-    Parameter(
-        "tour_seed",
-        "This seed of the random numbers decides where a tour's crossings are spread.",
-        0,
-        2**31 - 1,
-        live=True,
-    ),
-    Parameter(
-        "excite",
-        "A motion that lasts about this long, to tell masses and friction (dextar"
-        " identify), replaces the trip; 0 plans none.",
-        0.0,
-        300.0,
-        unit="s",
-        live=True,
-    ),
-    Parameter(
-        "duration",
-        "One way of the trip lasts this long; 0 lets the planner choose.",
-        0.0,
-        60.0,
-        unit="s",
-        live=True,
-    ),
-    Parameter(
-        "dwell",
-        "The robot rests this long before, between and after the motions of a plan.",
-        0.01,
-        60.0,
-        unit="s",
-        live=True,
-    ),
-    Parameter(
-        "repeat",
-        "The plan repeats its return trip, or the laps of its tour, this often.",
-        1,
-        1000,
-        live=True,
-    ),
-    Parameter(
-        "locus_time",
-        "This time near the locus costs the planner as much as a peak torque of 0.3 of"
-        " the limit; a larger one yields less torque.",
-        *LOCUS_TIMES,
-        unit="s",
-        live=True,
-    ),
-    Parameter(
-        "criterion",
-        "The planned motion satisfies this criterion at each crossing; the law"
-        " multi_model needs zero_wrench.",
-        choices=CRITERIA,
-        live=True,
-    ),
-)
+GROUP = "task."  # of the parameters
 
 
 @dataclass(frozen=True)
@@ -187,35 +83,40 @@ class Task:
             ParameterError: they ask for several things at once, or contradict each
                 other.
         """
+        values = {
+            name.removeprefix(GROUP): value
+            for name, value in values.items()
+            if name.startswith(GROUP)
+        }
         asked = [
-            f"{name} = {values[name]}"
+            f"{GROUP}{name} = {values[name]}"
             for name in ("point", "tour", "tour_points", "excite")
             if values[name]
         ]
         if len(asked) > 1:
             raise ParameterError(
                 f"{' and '.join(asked)} are given; one may be (point: [], tour: 0,"
-                " tour_points: [], excite: 0 are off)"
+                f" tour_points: [], excite: 0 in the group {GROUP[:-1]} are off)"
             )
         if values["direction"] and not values["point"]:
             raise ParameterError(
-                f"direction = {values['direction']} is given without a point; it must"
-                " be 0"
+                f"{GROUP}direction = {values['direction']} is given without a point; it"
+                " must be 0"
             )
         if len(values["tour_points"]) % 2:
             raise ParameterError(
-                f"tour_points has {len(values['tour_points'])} numbers; it must be"
-                " pairs of x and y"
+                f"{GROUP}tour_points has {len(values['tour_points'])} numbers; it must"
+                " be pairs of x and y"
             )
         if 0.0 < values["duration"] < LEAST_DURATION:
             raise ParameterError(
-                f"duration = {values['duration']} s; it must be 0 or >="
+                f"{GROUP}duration = {values['duration']} s; it must be 0 or >="
                 f" {LEAST_DURATION}"
             )
         numbers = values["tour_points"]
         return cls(
-            start=_pair(values["task.start"]),
-            goal=_pair(values["task.goal"]),
+            start=_pair(values["start"]),
+            goal=_pair(values["goal"]),
             point=_pair(values["point"]) if values["point"] else None,
             direction=values["direction"],
             tour=values["tour"],

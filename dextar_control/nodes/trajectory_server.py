@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from dextar_control.contract.errors import DextarError, TrajectoryError
-from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.node_parameters import PARAMETERS
 from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.topics import (
@@ -29,7 +29,7 @@ from dextar_control.contract.topics import (
 from dextar_control.nodekit.node import EXIT_USAGE, DextarNode, qos, run_node
 from dextar_control.nodekit.services import type_of
 from dextar_control.nodekit.worker import Done, GivenUp, JobQueue
-from dextar_control.nodes import messages, task
+from dextar_control.nodes import messages
 from dextar_control.nodes.next_step import command, why_not
 from dextar_control.nodes.task import Task, in_words, plan_from
 from dextar_control.planning.certificate import Certificate
@@ -38,38 +38,6 @@ from dextar_control.planning.profile import sample_times
 from dextar_control.planning.search import Progress
 from dextar_control.planning.trajectory import Trajectory
 from dextar_control.symbols.types import Array
-
-PARAMETERS = (
-    *task.PARAMETERS,
-    Parameter(
-        "approach_speed",
-        "The robot moves to the start of the trip with at most this speed.",
-        1e-3,
-        2.0,
-        unit="m/s",
-        live=True,
-    ),
-    Parameter(
-        "sample_period",
-        "The points of a served trajectory are this far apart in time, and farther"
-        " apart in a very long one.",
-        1e-4,
-        0.02,
-        unit="s",
-        live=True,
-    ),
-    Parameter(
-        "autostart",
-        "The server serves the trip once it is planned and an active controller holds"
-        " or waits to be enabled.",
-    ),
-    Parameter(
-        "drawing",
-        "The server draws each plan to this .png before it runs, autostart's at the"
-        " end; an empty name draws none.",
-        live=True,
-    ),
-)
 
 # s, age of the controller's diagnostics that still tells where the robot stands
 FRESH = 2.0
@@ -105,7 +73,7 @@ class TrajectoryServer(DextarNode):
     """
 
     NAME = "trajectory_server"
-    PARAMETERS = PARAMETERS
+    PARAMETERS = PARAMETERS[NAME]
 
     def __init__(self) -> None:
         super().__init__()
@@ -194,7 +162,10 @@ class TrajectoryServer(DextarNode):
         before it, as a message.
         """
         plan_now = self._plan_of(self._task, progress)
-        speed, period = self.values["approach_speed"], self.values["sample_period"]
+        speed, period = (
+            self.values["task.approach_speed"],
+            self.values["trajectory.sample_period"],
+        )
 
         def work() -> ServedTrip:
             wanted, plan = plan_now()

@@ -25,7 +25,7 @@ from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.plain_data import ParameterValue, as_plain
 from dextar_control.panel.access import Access
 
-Answer = Callable[[bool, str, Mapping[str, object]], None]
+Reply = Callable[[bool, str, Mapping[str, object]], None]
 PORTS_TRIED = 10  # from the wanted one on
 PING = 6.0  # s between questions to a page whether it is there
 PATIENCE = 6.0  # s until a page that is silent counts as gone
@@ -55,7 +55,7 @@ class Backend(Protocol):
         """Return what a page needs once."""
 
     def ask(
-        self, name: str, arguments: Mapping[str, ParameterValue], answer: Answer
+        self, name: str, arguments: Mapping[str, ParameterValue], answer: Reply
     ) -> None:
         """Do what the driver asks, or stop for anybody; ``answer`` is called in the
         server's thread.

@@ -25,8 +25,8 @@ TRACE = 1440  # samples of a full turn of the tracing angle
 MIN_CROSSING_TYPE1 = 0.2  # distance to Type 1 of a point that is offered for crossing
 THIN = 6  # trace samples of which one is looked at for its surroundings
 ON_LOCUS = 1e-3  # m, a point this near is taken as the locus point beside it
-# |s| at start and goal, where the direct model gives the estimate again (hold_zone +
-# hold_width)
+# |s| at start and goal, where the direct model gives the estimate again
+# (dgm.hold_below_abs_s + dgm.fade_width_abs_s)
 MIN_END_S = 0.4
 REST_S = 0.5  # |s| of a rest that the planner chooses
 REST_REACH = 1.0  # of the mechanism's length: how far such a rest is from the locus

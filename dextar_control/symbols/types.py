@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TypeAlias
 
 import casadi as ca
@@ -11,3 +12,5 @@ from numpy.typing import NDArray
 Symbol = ca.SX
 Array = NDArray[np.float64]
 Slice: TypeAlias = "slice[int, int, None]"
+Numbers: TypeAlias = "Sequence[float] | Array"
+"""A few numbers, as plants take them."""

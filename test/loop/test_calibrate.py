@@ -459,7 +459,7 @@ def slipped(readings: np.ndarray) -> np.ndarray:
         ),
         (
             lambda: run_of(read(NOMINAL, path()[200:290])),
-            "no crossing: the elbows' distance .* nowhere turns back",
+            "no crossing: the elbows, .* nowhere turn back",
         ),
         (
             lambda: run_of(

@@ -254,7 +254,9 @@ def test_the_plain_law_takes_more_than_twice_the_planned_torque_where_the_consis
     robot: Robot, trips: list[Plan]
 ) -> None:
     assert (
-        drive(robot, trips[0], law="classic", scatter_gain=0.0).near_torque
+        drive(
+            robot, trips[0], law="classic", **{"observer.scatter_gain": 0.0}
+        ).near_torque
         > 2.0 * trips[0].certificate.peak_torque
     )
 

@@ -108,7 +108,7 @@ def test_a_position_between_two_samples_is_taken_between_them(
     )
     ours.track(PERIOD, recorded.q_a[301], tau_next, NO_REFERENCE, 0.0, 0.0)
     observer.predict(state, noise, tau, early)
-    observer.correct_position(state, seen, settings.pose_deviation)
+    observer.correct_position(state, seen, settings.external.position_deviation)
     observer.predict(state, noise, tau, PERIOD - early)
     observer.correct(state, noise, recorded.q_a[300], PERIOD - early)
     observer.predict(state, noise, tau_next, PERIOD)
@@ -193,7 +193,7 @@ def test_a_bounce_is_seen_and_ends_safely(
     wrong = (run.mode != run.side) & (run.time > when + RECOGNITION)
     assert not wrong.any()
     sure_and_wrong = (run.mode != run.side) & (
-        run.confidence >= run.loop.settings.verdict_confidence
+        run.confidence >= run.loop.settings.mode_check.confidence
     )
     assert np.count_nonzero(sure_and_wrong & (run.time > when + SIGHTS)) == 0
     assert run.estimate_error[-1] < NOMINAL_ERROR
@@ -394,7 +394,7 @@ def test_an_assembly_mode_told_wrong_is_put_right(
     assert "fits the mirror image of the estimate" in note
     assert note.endswith("the assembly mode is +1")
     assert standing.estimator.estimate.assembly_mode == 1.0
-    assert standing.estimator.estimate.confidence >= settings.verdict_confidence
+    assert standing.estimator.estimate.confidence >= settings.mode_check.confidence
     assert standing.estimator.swaps == 1
     np.testing.assert_allclose(standing.estimator.estimate.x, standing.x, atol=1e-5)
 
@@ -417,11 +417,13 @@ def test_one_blunder_at_the_mirror_image_moves_nothing(
     assert standing.estimator.mode_known
 
 
-@pytest.mark.parametrize("name", ["pose_deviation", "pose_gate", "pose_timeout"])
+@pytest.mark.parametrize("name", ["position_deviation", "position_gate", "timeout"])
 def test_settings_that_cannot_be_are_refused(robot: RobotParameters, name: str) -> None:
-    with pytest.raises(ParameterError, match=rf"{name} = 0.0; it must be > 0"):
+    with pytest.raises(
+        ParameterError, match=rf"external\.{name} = 0.0; it must be > 0"
+    ):
         make_estimator(
             Model.of(robot),
-            default_settings(estimator="external", **{name: 0.0}),
+            default_settings(estimator="external", **{f"external.{name}": 0.0}),
             robot.min_type1_distance,
         )

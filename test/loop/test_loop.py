@@ -100,7 +100,7 @@ def test_the_enforcement_makes_no_torque_step(trip: Plan, fast_run: Run) -> None
 def test_the_papers_projection_steps_where_ours_does_not(
     robot: RobotParameters, trip: Plan, fast_run: Run
 ) -> None:
-    paper = drive(robot, trip, "projected", band=0.2)
+    paper = drive(robot, trip, "projected", **{"near_locus.replace_below_abs_s": 0.2})
 
     def step(run: Run) -> float:
         near = (np.abs(run.s[1:]) < 0.25) & (np.abs(run.s[1:]) > 0.15)
@@ -113,10 +113,10 @@ def test_the_classic_law_asks_for_too_much_near_the_locus(
     robot: RobotParameters, trip: Plan, fast_run: Run
 ) -> None:
     run = drive(
-        robot, trip, "classic", resolution=2**15, scatter_gain=0.0
+        robot, trip, "classic", resolution=2**15, **{"observer.scatter_gain": 0.0}
     )  # an estimate with the noise of its encoders
     peak = np.abs(run.tau).max(axis=1)
-    limit = default_settings().watch_ratio * trip.certificate.peak_torque
+    limit = default_settings().torque_limit.peak_ratio * trip.certificate.peak_torque
     assert run.loop.saturated_ticks > fast_run.loop.saturated_ticks == 0
     assert abs(run.s[int(np.argmax(peak >= limit))]) < 0.1
 
@@ -125,7 +125,7 @@ def test_the_classic_law_with_the_plain_direct_model_saturates_at_each_crossing(
     robot: RobotParameters, trip: Plan
 ) -> None:
     run = drive(robot, trip, "classic", estimator="plain")
-    limit = default_settings().watch_ratio * trip.certificate.peak_torque
+    limit = default_settings().torque_limit.peak_ratio * trip.certificate.peak_torque
     at_limit = (
         np.flatnonzero((np.abs(run.tau).max(axis=1) >= limit) & (np.abs(run.s) < 0.1))
         * 1e-3
@@ -408,7 +408,7 @@ def test_an_impulse_against_the_motion_is_judged_as_it_was(
     )
     assert (
         np.abs(taus).max()
-        <= default_settings().watch_ratio * trip.certificate.peak_torque
+        <= default_settings().torque_limit.peak_ratio * trip.certificate.peak_torque
         + lacking
         + 1e-12
     )
@@ -481,12 +481,18 @@ def test_an_end_near_the_locus_is_refused(robot: RobotParameters, trip: Plan) ->
 
 def test_the_planners_ends_are_the_estimators(robot: RobotParameters) -> None:
     settings = default_settings()
-    assert settings.hold_zone + settings.hold_width <= MIN_END_S
+    assert settings.dgm.hold_below_abs_s + settings.dgm.fade_width_abs_s <= MIN_END_S
 
 
 def test_a_transition_that_reaches_the_locus_is_refused(robot: RobotParameters) -> None:
-    with pytest.raises(ParameterError, match="zone must be >= 0.15"):
-        ControlLoop(robot, default_settings(zone=0.1, zone_width=0.3), 1)
+    with pytest.raises(ParameterError, match="near_locus.fade_abs_s must be >= 0.15"):
+        ControlLoop(
+            robot,
+            default_settings(
+                **{"near_locus.fade_abs_s": 0.1, "near_locus.fade_width_abs_s": 0.3}
+            ),
+            1,
+        )
 
 
 def test_the_mock_up_crosses_too() -> None:

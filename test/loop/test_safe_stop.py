@@ -7,7 +7,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,7 +14,7 @@ import numpy as np
 import pytest
 from closed_loop import advance, running, s_of, state_of
 from oracle import Oracle
-from safe_stop_study import REST
+from safe_stop_study import REST, intolerant
 
 from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import RobotParameters
@@ -69,7 +68,7 @@ def test_from_every_instant_the_torque_is_bounded_and_ends_when_it_was_declared(
         assert row.peak_torque <= row.limit + 1e-12
         assert row.torque_time < row.over_time
         if not row.finished:
-            assert row.over_time <= SETTINGS.brake_time + PERIOD
+            assert row.over_time <= SETTINGS.safe_stop.brake_time + PERIOD
 
 
 def test_from_every_instant_the_robot_comes_to_rest_clear_of_the_locus_on_a_known_side(
@@ -78,7 +77,7 @@ def test_from_every_instant_the_robot_comes_to_rest_clear_of_the_locus_on_a_know
     for row in stops:
         assert row.end_speed < REST
         assert "at rest after" in row.told
-        assert abs(row.end_s) >= SETTINGS.stop_s
+        assert abs(row.end_s) >= SETTINGS.safe_stop.rest_above_abs_s
         assert row.side_right or not row.side_known
     assert sum(row.side_known for row in stops) >= 0.98 * len(
         stops
@@ -101,7 +100,7 @@ def test_only_a_request_finishes_a_crossing(stops: list[SimpleNamespace]) -> Non
     assert all(
         row.finished
         for row in stops
-        if row.trigger == "stop" and abs(row.s) < SETTINGS.coast_s
+        if row.trigger == "stop" and abs(row.s) < SETTINGS.safe_stop.coast_below_abs_s
     )
     assert not [row for row in finished if abs(row.s) > 0.6]
 
@@ -130,12 +129,12 @@ def test_s_and_its_rate_follow_from_the_joints_on_either_side(
 def test_braking_slows_every_direction_alike_and_takes_energy_from_a_robot_on_either_side(
     robot: RobotParameters, trip: Plan
 ) -> None:
-    """By the oracle's dynamics: what the torque changes is -x_dot / brake_constant."""
+    """By the oracle's dynamics: what the torque changes is -x_dot / brake_time_constant."""
     model, oracle, generator = Model.of(robot), Oracle(robot), np.random.default_rng(6)
     stop = _safe_stop(model)
     for x in trip.certificate.profile.x[::40]:
         s = s_of(model, x)
-        if abs(s) < SETTINGS.stop_s:
+        if abs(s) < SETTINGS.safe_stop.rest_above_abs_s:
             continue
         x_dot = generator.normal(0.0, 0.3, 2)
         kin = state_of(model, x, x_dot)
@@ -144,7 +143,10 @@ def test_braking_slows_every_direction_alike_and_takes_energy_from_a_robot_on_ei
             kin.q_a, x, x_dot, np.zeros(2)
         )
         np.testing.assert_allclose(
-            changed, -x_dot / SETTINGS.brake_constant, rtol=1e-6, atol=1e-9
+            changed,
+            -x_dot / SETTINGS.safe_stop.brake_time_constant,
+            rtol=1e-6,
+            atol=1e-9,
         )
         for mode in (-1.0, 0.0, 1.0):
             now = stop.braking(kin.q_a, kin.q_a_dot, x, mode, 0.05)
@@ -165,7 +167,7 @@ def _tripped(
     rig.reset_joints(loop.model.inverse_geometric_model(trip.trajectory.at(0.0).x), 1)
     loop.accept(trip.trajectory)
     advance(loop, rig, until=when)
-    loop.configure(replace(loop.settings, max_tracking_error=1e-12))
+    loop.configure(intolerant(loop.settings))
     advance(loop, rig, count=1)
     assert loop.phase is Phase.SAFE_STOP
     return rig, loop
@@ -181,7 +183,9 @@ def test_a_robot_that_stands_on_the_locus_is_let_go_after_the_time_to_coast(
     for tick in range(1, 700):
         taus.append(loop.step(begin + PERIOD * tick, resting))
     assert (np.array(taus) == 0.0).all()
-    assert loop.stopped.coasted == pytest.approx(SETTINGS.coast_time, abs=2.0 * PERIOD)
+    assert loop.stopped.coasted == pytest.approx(
+        SETTINGS.safe_stop.coast_time, abs=2.0 * PERIOD
+    )
     assert not loop.stopped.at_rest
     assert (
         loop.reason.endswith("side not known") and "let go after 0.50 s" in loop.reason
@@ -220,7 +224,9 @@ def test_an_estimator_that_does_not_know_the_side_is_braked_in_the_joints_and_sa
     for _, tau in running(loop, rig):
         q_a_dot = loop.tick.estimate.q_a_dot
         if np.abs(q_a_dot).max() > FADE[1] and (tau != 0.0).any():
-            np.testing.assert_allclose(tau, -SETTINGS.brake_gain * q_a_dot, atol=1e-12)
+            np.testing.assert_allclose(
+                tau, -SETTINGS.safe_stop.brake_gain * q_a_dot, atol=1e-12
+            )
             braked = True
         if loop.stopped is not None:
             break

@@ -10,22 +10,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from closed_loop import AFTER, running
 
+from dextar_control.contract.controller_parameters import CONTROLLER
 from dextar_control.contract.errors import (
     GeometryError,
     ParameterError,
     StateError,
     TrajectoryError,
 )
-from dextar_control.contract.resources import NODES_FILE, config_file
+from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import WITHOUT_LAW, Phase
 from dextar_control.control.supervisor import WATCHES
-from dextar_control.nodes.controller import PARAMETERS
 from dextar_control.planning.checks import certify
 from dextar_control.planning.planner import (
     PLAN_RESIDUAL,
@@ -101,14 +100,12 @@ def drive(
 
 
 def test_every_watch_has_its_parameters_and_reasons() -> None:
-    declared = {parameter.name: parameter for parameter in PARAMETERS}
-    defaults = yaml.safe_load(config_file(NODES_FILE).read_text())["/**/controller"][
-        "ros__parameters"
-    ]
+    declared = {parameter.name: parameter for parameter in CONTROLLER}
+    defaults = node_defaults("controller")
     for watch in WATCHES:
         assert watch.value and watch.reason
         for name in [
-            *re.findall(r"(?<![.\w])\w+_\w+", watch.limit),
+            *re.findall(r"\b(?!robot)\w+\.\w+", watch.limit),
             *([watch.time] if watch.time else []),
         ]:
             assert name in defaults, f"{watch.name}: {name}"
@@ -121,12 +118,12 @@ def test_every_watch_has_its_parameters_and_reasons() -> None:
         name for watch in WATCHES for name in (watch.limit.split()[-1], watch.time)
     }
     assert named >= {
-        "max_joint_jump",
-        "max_joint_misfit",
-        "misfit_time",
-        "speed_margin",
-        "joint_margin",
-        "watch_time",
+        "watch.max_joint_jump",
+        "watch.max_joint_misfit",
+        "watch.joint_misfit_time",
+        "watch.speed_margin",
+        "watch.joint_margin",
+        "torque_limit.time",
     }
 
 
@@ -234,7 +231,7 @@ def test_a_blow_that_the_gains_do_not_hold(robot: RobotParameters) -> None:
         None,
         start=[-0.025, 0.115],
         push=lambda time: [0.0, 250.0 if 0.0995 < time < 0.1005 else 0.0],
-        settings={"natural_frequency": 15.0},
+        settings={"feedback.natural_frequency": 15.0},
     )
     assert loop.tripped == "tracking_error", loop.reason
     assert "tracking error 0.02" in loop.reason and "the limit is 0.02 m" in loop.reason
@@ -300,7 +297,11 @@ def test_an_estimate_that_has_lost_the_robot(
     Where it crosses decides which watch is the first to see it: an observer that takes
         it for scatter comes to the locus sooner.
     """
-    settings = {"max_tracking_error": 0.1, "watch_ratio": 1e3, "scatter_gain": 0.0}
+    settings = {
+        "watch.max_tracking_error": 0.1,
+        "torque_limit.peak_ratio": 1e3,
+        "observer.scatter_gain": 0.0,
+    }
     trip = plan_return_trip(
         robot,
         [-0.025, 0.115],
@@ -377,7 +378,7 @@ def test_a_robot_that_is_pushed_towards_the_locus(
         None,
         start=where,
         push=lambda time: [0.0, -1.5] if time > 0.1 else [0.0, 0.0],
-        settings={"natural_frequency": 8.0, "max_tracking_error": 0.1},
+        settings={"feedback.natural_frequency": 8.0, "watch.max_tracking_error": 0.1},
     )
     assert loop.tripped == "locus", loop.reason
     assert (
@@ -406,8 +407,8 @@ def test_a_loop_that_swings(robot: RobotParameters, trip: Plan) -> None:
     """Gains far too high for encoders that noisy."""
     settings = {
         "estimator": "plain",
-        "natural_frequency": 200.0,
-        "filter_bandwidth": 1500.0,
+        "feedback.natural_frequency": 200.0,
+        "joint_filter.bandwidth": 1500.0,
     }
     loop, _, _ = drive(
         robot, None, start=[-0.025, 0.115], position_noise=1e-4, settings=settings

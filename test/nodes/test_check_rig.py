@@ -26,9 +26,10 @@ import numpy as np
 import pytest
 import rclpy
 from fake_driver import INERTIA, START, WATCHDOG, FakeDriver
+from patience import PATIENCE
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rig import PATIENCE, start, stop
+from rig import start, stop
 from sensor_msgs.msg import JointState
 
 from dextar_control.check_rig.check import (
@@ -850,7 +851,7 @@ def test_the_plant_passes_every_line(tmp_path: Path) -> None:
         "-p",
         "task.sample_period:=0.005",
         "-p",
-        "command_timeout:=0.1",
+        "drive.command_timeout:=0.1",
     )
     try:
         code, lines, text = outcome(
@@ -868,7 +869,7 @@ def test_the_plant_passes_with_arrays_too(tmp_path: Path) -> None:
         "-p",
         "task.sample_period:=0.005",
         "-p",
-        "command_timeout:=0.1",
+        "drive.command_timeout:=0.1",
         "-p",
         "command_interface:=effort_array",
         "-r",

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from closed_loop import turn_round
 from geometry_msgs.msg import PoseStamped
+from patience import PATIENCE
 from rig import Rig, controlled, ending_well, matched, start, stop
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -49,7 +50,7 @@ def _controller(*arguments: str) -> Iterator[Rig]:
         "-p",
         "controller:lockstep:=true",
         "-p",
-        "controller:healthy_time:=0.0",
+        "controller:joint_states.healthy_time:=0.0",
         *arguments,
     )
     with contextlib.closing(Rig()) as rig, ending_well(start(MODULE, *arguments)):
@@ -130,7 +131,9 @@ def test_states_that_stop_coming_take_the_torque_away_and_then_are_a_fault_that_
 ) -> None:
     """On the steady clock, without a further state; nothing is asked of when."""
     with controlled(
-        "lockstep:=false", "healthy_time:=0.0", "stall_timeout:=0.1"
+        "lockstep:=false",
+        "joint_states.healthy_time:=0.0",
+        "joint_states.stall_timeout:=0.1",
     ) as rig:
         rig.until(lambda: rig.controller("phase") == "HOLD", "does not hold")
         matched(rig)
@@ -258,7 +261,7 @@ def test_an_external_pose_is_used_or_refused_with_the_numbers(
         tick = itertools.count(1)
 
         def answer_until(words: str) -> None:
-            """Some states, less than pose_timeout, then what the controller makes of
+            """Some states, less than external.timeout, then what the controller makes of
             them.
             """
             for _ in range(20):
@@ -332,7 +335,7 @@ def test_a_bounce_is_called_one_on_the_topic_and_ends_in_a_safe_stop(
         rig.controller("bounced"),
         rig.controller("estimator"),
     ) == ("1", "1", "observer")
-    assert seen[-1]["mode_confidence"] >= default_settings().verdict_confidence
+    assert seen[-1]["mode_confidence"] >= default_settings().mode_check.confidence
     assert min(row["mode_confidence"] for row in seen) == pytest.approx(0.5, abs=0.1)
     assert {row["verdict"] for row in seen} == {
         float(Verdict.UNDECIDED),
@@ -358,8 +361,8 @@ def test_gains_may_change_live_and_only_within_their_range(rig: Rig) -> None:
         )
         return answer.results[0].successful, answer.results[0].reason
 
-    assert put("natural_frequency", 50.0)[0]
-    accepted, reason = put("natural_frequency", 5000.0)
+    assert put("feedback.natural_frequency", 50.0)[0]
+    accepted, reason = put("feedback.natural_frequency", 5000.0)
     assert not accepted
     assert "500" in reason
     assert not put("robot.max_torque", 10.0)[0]
@@ -368,7 +371,11 @@ def test_gains_may_change_live_and_only_within_their_range(rig: Rig) -> None:
 @pytest.mark.parametrize(
     ("module", "override", "message"),
     [
-        (MODULE, "controller:zone:=3.0", "'zone' = 3.0; it must be <= 0.9"),
+        (
+            MODULE,
+            "controller:near_locus.fade_abs_s:=3.0",
+            "'near_locus.fade_abs_s' = 3.0; it must be <= 0.9",
+        ),
         (
             MODULE,
             "controller:law:=magic",
@@ -384,8 +391,9 @@ def test_gains_may_change_live_and_only_within_their_range(rig: Rig) -> None:
         ),
         (
             MODULE,
-            "controller:passage_armed:=0.3",
-            "passage_armed = 0.3 with passage_begin = 0.2; it must be smaller",
+            "controller:crossing_test.unknown_below_abs_s:=0.3",
+            "crossing_test.unknown_below_abs_s = 0.3 with"
+            " crossing_test.begin_below_abs_s = 0.2; it must be smaller",
         ),
         (MODULE, "controller:zoen:=0.1", "unknown parameter 'zoen'"),
         (
@@ -410,25 +418,29 @@ def test_gains_may_change_live_and_only_within_their_range(rig: Rig) -> None:
         ),
         (
             "dextar_control.nodes.trajectory_server",
-            "trajectory_server:duration:=0.1",
+            "trajectory_server:task.duration:=0.1",
             "the limit is 0.3 N m",
         ),
         (
             "dextar_control.nodes.trajectory_server",
-            "trajectory_server:point:=[0.0, 0.05]",
+            "trajectory_server:task.point:=[0.0, 0.05]",
             "off the Type 2 locus",
         ),
         (
             "dextar_control.nodes.trajectory_server",
-            "trajectory_server:direction:=1",
+            "trajectory_server:task.direction:=1",
             "direction = 1 is given without a point",
         ),
         (
             "dextar_control.nodes.trajectory_server",
-            "trajectory_server:criterion:=none",
+            "trajectory_server:task.criterion:=none",
             "one of reciprocal, zero_wrench",
         ),
-        ("dextar_sim.node", "plant:substeps:=0", "'substeps' = 0"),
+        (
+            "dextar_sim.node",
+            "plant:simulation.substeps:=0",
+            "'simulation.substeps' = 0",
+        ),
         (
             "dextar_control.nodes.recorder",
             "recorder:output:=/proc/none/run.mcap",
@@ -440,7 +452,7 @@ def test_a_wrong_parameter_ends_the_node_with_one_line(
     module: str, override: str, message: str
 ) -> None:
     process = start(module, "-p", override)
-    output, _ = process.communicate(timeout=60.0)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 2, output
     assert message in output
     assert "Traceback" not in output

@@ -13,22 +13,23 @@ import numpy as np
 import pytest
 import rclpy
 from closed_loop import s_of
+from patience import PATIENCE
 from rcl_interfaces.srv import DescribeParameters, GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
-from rig import PATIENCE
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.clocks import UnsteppedClock
+from dextar_control.contract.controller_parameters import CONTROLLER
 from dextar_control.contract.errors import TrajectoryError
 from dextar_control.contract.topics import JOINT_STATES
 from dextar_control.control.phases import Phase
 from dextar_control.nodekit.layouts import template
 from dextar_control.nodes import messages
-from dextar_control.nodes.controller import PARAMETERS, SERVED_PER_WATCH, ControllerNode
+from dextar_control.nodes.controller import SERVED_PER_WATCH, ControllerNode
 from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.planner import Plan
 from dextar_control.planning.trajectory import Trajectory
@@ -44,7 +45,7 @@ class _Unspun:
     def __init__(self) -> None:
         values = [
             part
-            for value in ("lockstep:=true", "healthy_time:=0.0")
+            for value in ("lockstep:=true", "joint_states.healthy_time:=0.0")
             for part in ("-p", f"controller:{value}")
         ]
         rclpy.init(
@@ -104,7 +105,7 @@ def controller() -> Iterator[_Unspun]:
 def test_a_watch_period_serves_a_bounded_number_of_requests_however_many_there_are(
     controller: _Unspun,
 ) -> None:
-    names = [spec.name for spec in PARAMETERS]
+    names = [spec.name for spec in CONTROLLER]
     asked = {
         "describe_parameters": (
             DescribeParameters,

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE
 
 from dextar_control.contract.errors import DextarError
 from dextar_control.nodekit import domain
@@ -39,7 +40,7 @@ def test_no_two_processes_have_the_same_domain_until_one_ends(
         with pytest.raises(DextarError, match="all 2 DDS domains are taken"):
             domain.own_domain()
     finally:
-        other.communicate("\n", timeout=60.0)
+        other.communicate("\n", timeout=PATIENCE)
     assert domain.own_domain() == taken
 
 

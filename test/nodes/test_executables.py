@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
+from patience import PATIENCE
 from rclpy.signals import SignalHandlerOptions
-from rig import PATIENCE, Rig, matched, start, stop
+from rig import Rig, matched, start, stop
 
 from dextar_control import executables
 from dextar_control.cli import main as cli
@@ -112,10 +113,10 @@ def test_help_says_what_a_node_is_and_starts_nothing(
 
 def test_help_tells_default_unit_range_and_whether_a_parameter_is_live() -> None:
     text = node_help(ControllerNode)
-    assert "\n  healthy_time = 0.5 s (0 to 60; live)\n" in text
+    assert "\n  joint_states.healthy_time = 0.5 s (0 to 60; live)\n" in text
     assert "\n  lockstep = false\n" in text
     assert "It is one of classic, projected, consistent" in " ".join(text.split())
-    assert "\n  max_bag_size = 0 bytes (>= 0)\n" in node_help(RecorderNode)
+    assert "\n  bag.max_size = 0 bytes (>= 0)\n" in node_help(RecorderNode)
     assert "\n  task.start = [-0.025, 0.115] m (2 numbers)\n" in node_help(PlantNode)
 
 
@@ -131,9 +132,13 @@ def test_every_number_that_measures_something_has_a_unit(kind: Any) -> None:
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.NAME)
 def test_the_contract_says_what_a_node_publishes_reads_and_offers(kind: Any) -> None:
     wanted = {
-        "plant": ["pose_rate:=100.0", "start_paused:=true", "mode:=lockstep"],
+        "plant": [
+            "external_pose.rate:=100.0",
+            "simulation.start_paused:=true",
+            "mode:=lockstep",
+        ],
         "recorder": ["record_from_start:=false"],
-        "controller": ["publish_effort_array:=true", "estimator:=external"],
+        "controller": ["publish.effort_array:=true", "estimator:=external"],
     }.get(kind.NAME, [])
     rclpy.init(
         args=["--ros-args", *(part for value in wanted for part in ("-p", value))],
@@ -221,7 +226,7 @@ def test_parameters_that_come_through_a_pipe_reach_the_node(
         )
     finally:
         os.close(reading)
-    assert "parameter 'sync_period' = -7.0" in capfd.readouterr().err
+    assert "parameter 'bag.sync_period' = -7.0" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("words", [["--frob"], ["-p", "law"]])
@@ -289,7 +294,7 @@ def test_every_module_that_can_be_started_reads_its_command_line(module: str) ->
         (["go", "--excite", "-1"], "-1 s; it must be > 0"),
         (
             ["demo", "--real-time-factor", "-1"],
-            "'real_time_factor' = -1.0; it must be >= 0",
+            "'simulation.real_time_factor' = -1.0; it must be >= 0",
         ),
         (["identify", "run.mcap", "."], ". is given twice"),
         (["calibrate", "run.mcap", "--check", "run.mcap"], "run.mcap is given twice"),
@@ -438,7 +443,7 @@ def test_a_terminal_that_closes_leaves_no_torque(number: int) -> None:
         "-p",
         "controller:lockstep:=true",
         "-p",
-        "controller:healthy_time:=0.0",
+        "controller:joint_states.healthy_time:=0.0",
     )
     try:
         rig.until(

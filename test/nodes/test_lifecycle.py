@@ -11,9 +11,9 @@ import pytest
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 from rig import Rig, controlled, matched
 
+from dextar_control.contract.controller_parameters import CONTROLLER
 from dextar_control.contract.robot import ROBOT_KEYS
 from dextar_control.nodekit.cdr import from_time
-from dextar_control.nodes.controller import PARAMETERS
 from dextar_control.planning.planner import Plan
 
 MS = 1_000_000  # ns
@@ -23,7 +23,7 @@ CYCLES = 15
 @pytest.fixture(scope="module")
 def asleep() -> Iterator[Rig]:
     """A controller that waits to be configured; each test leaves it so."""
-    with controlled("autostart:=false", "healthy_time:=0.0") as rig:
+    with controlled("autostart:=false", "joint_states.healthy_time:=0.0") as rig:
         yield rig
 
 
@@ -34,7 +34,9 @@ def test_every_parameter_is_open_until_configured_and_then_only_the_live_ones(
     assert asleep.put("controller", law="classic", estimator="dgm") == ["", ""]
     assert asleep.change("configure")
     fixed = "'law' is fixed while the node is inactive; clean it up first"
-    assert asleep.put("controller", law="projected", natural_frequency=60.0) == [
+    assert asleep.put(
+        "controller", law="projected", feedback__natural_frequency=60.0
+    ) == [
         fixed,
         "",
     ]
@@ -51,18 +53,21 @@ def test_every_parameter_is_open_until_configured_and_then_only_the_live_ones(
     assert asleep.change("deactivate")
     assert asleep.change("cleanup")
     assert asleep.put(
-        "controller", law="consistent", estimator="observer", natural_frequency=50.0
+        "controller",
+        law="consistent",
+        estimator="observer",
+        feedback__natural_frequency=50.0,
     ) == ["", "", ""]
 
 
 def test_a_configuration_that_cannot_be_is_refused_and_the_next_one_taken(
     asleep: Rig,
 ) -> None:
-    assert asleep.put("controller", passage_armed=0.3) == [""]
+    assert asleep.put("controller", crossing_test__unknown_below_abs_s=0.3) == [""]
     assert not asleep.change("configure")
     assert asleep.lifecycle == "unconfigured"
     assert asleep.node.count_publishers("joint_commands") == 0
-    assert asleep.put("controller", passage_armed=0.15) == [""]
+    assert asleep.put("controller", crossing_test__unknown_below_abs_s=0.15) == [""]
     assert asleep.change("configure")
     assert asleep.change("cleanup")
 
@@ -198,8 +203,8 @@ def test_no_parameter_is_without_description_and_range(asleep: Rig) -> None:
             DescribeParameters, "controller/describe_parameters", request
         ).descriptors
     }
-    assert {spec.name for spec in PARAMETERS} <= told.keys()
-    for spec in PARAMETERS:
+    assert {spec.name for spec in CONTROLLER} <= told.keys()
+    for spec in CONTROLLER:
         descriptor = told[spec.name]
         assert descriptor.description == spec.measured
         assert not descriptor.read_only
@@ -224,11 +229,11 @@ def test_no_parameter_is_without_description_and_range(asleep: Rig) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
-        ("natural_frequency", 1e4, "500"),
-        ("healthy_time", -1.0, "Min: 0.0"),
-        ("state_timeout", float("nan"), "value: nan"),
+        ("feedback.natural_frequency", 1e4, "500"),
+        ("joint_states.healthy_time", -1.0, "Min: 0.0"),
+        ("joint_states.timeout", float("nan"), "value: nan"),
         ("assembly_mode", 0, "must be +1 or -1"),
-        ("brake_time", "long", "a number"),
+        ("safe_stop.brake_time", "long", "a number"),
     ],
 )
 def test_a_live_change_out_of_range_is_refused_with_the_reason(
@@ -252,3 +257,23 @@ def test_a_shut_down_controller_stays_without_torque(
     )
     assert asleep.lifecycle == "finalized"
     assert not asleep.change("configure")
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (
+            "coast_s",
+            "'coast_s' is now called 'safe_stop.coast_below_abs_s'; set that",
+        ),
+        (
+            "safe_stop.brake_gian",
+            "unknown parameter 'safe_stop.brake_gian'; did you mean"
+            " 'safe_stop.brake_gain'?",
+        ),
+    ],
+)
+def test_a_name_that_is_no_longer_or_never_was_is_refused_with_the_one_to_set(
+    asleep: Rig, name: str, said: str
+) -> None:
+    assert asleep.put("controller", **{name: 0.1}) == [said]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from fake_driver import INERTIA, START, WATCHDOG
-from rig import PATIENCE
+from patience import PATIENCE
 from test_check_rig import LINES, ROOT, named, outcome
 
 RUNNER = f"""

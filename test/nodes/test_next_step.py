@@ -11,8 +11,8 @@ from types import SimpleNamespace
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from patience import PATIENCE
 from rclpy.signals import SignalHandlerOptions
-from rig import PATIENCE
 from std_srvs.srv import Trigger
 
 from dextar_control.contract.errors import TrajectoryError

@@ -15,7 +15,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from rig import NODES, PATIENCE, start, stop
+from patience import PATIENCE
+from rig import NODES, start, stop
 
 from dextar_control.cli.main import main
 from dextar_control.nodekit.domain import own_domain
@@ -139,14 +140,14 @@ def test_one_kind_of_task_switches_the_others_off_and_what_is_not_given_stays() 
         "repeat": None,
     }
     assert operator.task_values(nothing) == {}
-    assert operator.task_values(nothing | {"repeat": 3}) == {"repeat": 3}
+    assert operator.task_values(nothing | {"repeat": 3}) == {"task.repeat": 3}
     assert operator.task_values(nothing | {"point": [0.0, 0.08], "duration": 2.0}) == {
-        "tour": 0,
-        "point": [0.0, 0.08],
-        "excite": 0.0,
-        "tour_points": [],
-        "direction": 0,
-        "duration": 2.0,
+        "task.tour": 0,
+        "task.point": [0.0, 0.08],
+        "task.excite": 0.0,
+        "task.tour_points": [],
+        "task.direction": 0,
+        "task.duration": 2.0,
     }
 
 

@@ -1,6 +1,6 @@
 """The plant node over real DDS: the node in its own process, a small commander here.
 
-Nothing depends on how fast the machine is: waits end on what arrives, and WAIT only
+Nothing depends on how fast the machine is: waits end on what arrives, and PATIENCE only
 ends a test that is lost anyway.
 """
 
@@ -21,6 +21,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
+from patience import PATIENCE
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -46,7 +47,6 @@ from dextar_sim.disturbances import Disturbances
 from dextar_sim.node import PlantNode
 from dextar_sim.plant import Plant
 
-WAIT = 60.0
 PERIOD = 1_000_000
 START = (0.0, 0.105)
 EXACT = 1.0e-12
@@ -88,7 +88,7 @@ class Commander:
             JointState, JOINT_STATES.name, self._on_state, qos(JOINT_STATES)
         )
         self.executor.add_node(self.node)
-        parameters = {"real_time_factor": "0.0", **parameters}
+        parameters = {"simulation.real_time_factor": "0.0", **parameters}
         flags = [
             flag
             for name, value in parameters.items()
@@ -123,7 +123,7 @@ class Commander:
                 }
 
     def until(self, condition: Callable[[], bool]) -> None:
-        limit = time.monotonic() + WAIT
+        limit = time.monotonic() + PATIENCE
         while not condition():
             assert time.monotonic() < limit, "nothing more arrived"
             assert self.process.poll() is None, "the plant ended"
@@ -148,7 +148,7 @@ class Commander:
     def close(self) -> tuple[int, str]:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
-        _, text = self.process.communicate(timeout=WAIT)
+        _, text = self.process.communicate(timeout=PATIENCE)
         self.executor.remove_node(self.node)
         self.executor.shutdown()
         self.node.destroy_node()
@@ -218,7 +218,7 @@ def test_lockstep_runs_are_bit_identical_and_answer_every_state(
     runs = []
     for _ in range(2):
         commander = lockstep_run(
-            start, 400, position_noise="1.0e-4", command_delay="0.003"
+            start, 400, encoder__noise="1.0e-4", drive__command_delay="0.003"
         )
         runs.append(commander.states[:400])
         assert stamps(commander.states[:400]) == [
@@ -235,7 +235,7 @@ def test_lockstep_applies_each_answer_over_the_period_it_answers(
     to state k.
     """
     commander = start(
-        mode="lockstep", encoder_resolution="0", task__start=str(list(START))
+        mode="lockstep", encoder__resolution="0", task__start=str(list(START))
     )
     commander.answer = lambda state: (
         wavy_answer(state) if commander.joints and commander.platform else None
@@ -271,7 +271,7 @@ def test_lockstep_applies_each_answer_over_the_period_it_answers(
 
 
 def test_command_delay_is_whole_periods(start: Callable[..., Commander]) -> None:
-    commander = lockstep_run(start, 50, command_delay="0.004")
+    commander = lockstep_run(start, 50, drive__command_delay="0.004")
     for index, state in enumerate(commander.states[:50]):
         assert list(state.effort) == (
             wavy(PERIOD * (index - 5)) if index >= 5 else [0.0, 0.0]
@@ -281,7 +281,9 @@ def test_command_delay_is_whole_periods(start: Callable[..., Commander]) -> None
 def test_external_pose_was_true_at_its_stamp_and_comes_after_its_delay(
     start: Callable[..., Commander],
 ) -> None:
-    commander = start(mode="lockstep", pose_rate="80.0", pose_delay="0.0153")
+    commander = start(
+        mode="lockstep", external_pose__rate="80.0", external_pose__delay="0.0153"
+    )
     commander.answer = lambda state: wavy_answer(state) if commander.platform else None
     commander.until(
         lambda: len(commander.poses) >= 10 and len(commander.platform) >= 200
@@ -308,7 +310,10 @@ def test_external_noise_repeats_and_a_repeated_state_brings_no_second_pose(
     runs = []
     for _ in range(2):
         commander = start(
-            mode="lockstep", pose_rate="100.0", pose_noise="1.0e-3", seed="7"
+            mode="lockstep",
+            external_pose__rate="100.0",
+            external_pose__noise="1.0e-3",
+            seed="7",
         )
         asked: list[int] = []
 
@@ -340,7 +345,7 @@ def test_external_noise_repeats_and_a_repeated_state_brings_no_second_pose(
 def test_without_a_rate_nobody_publishes_an_external_pose(
     start: Callable[..., Commander],
 ) -> None:
-    commander = start(mode="lockstep", pose_noise="1.0e-3")
+    commander = start(mode="lockstep", external_pose__noise="1.0e-3")
     commander.answer = wavy_answer
     commander.until(lambda: len(commander.states) >= 50)
     assert commander.node.count_publishers(EXTERNAL_POSE.name) == 0
@@ -350,8 +355,8 @@ def test_without_a_rate_nobody_publishes_an_external_pose(
 def test_external_rate_above_that_of_the_samples_is_refused(
     start: Callable[..., Commander],
 ) -> None:
-    commander = start(mode="lockstep", pose_rate="2000.0")
-    assert commander.process.wait(WAIT) == 2
+    commander = start(mode="lockstep", external_pose__rate="2000.0")
+    assert commander.process.wait(PATIENCE) == 2
     code, text = commander.close()
     assert (code, text.splitlines()[-1]) == (
         2,
@@ -431,7 +436,7 @@ def test_lockstep_acknowledged_without_a_command_the_drives_hold_the_last_one_un
     """Commands for the states before the tenth only: the torque goes on for the
     time-out's 5 ms and is gone then.
     """
-    commander = start(mode="lockstep", command_timeout="0.005")
+    commander = start(mode="lockstep", drive__command_timeout="0.005")
 
     def answer(state: JointState) -> JointState:
         return (
@@ -488,7 +493,9 @@ def test_in_real_time_a_message_without_joints_is_refused(
 def test_start_paused_waits_steps_as_told_and_resumes(
     start: Callable[..., Commander],
 ) -> None:
-    commander = start(mode="lockstep", start_paused="true", step_count="3")
+    commander = start(
+        mode="lockstep", simulation__start_paused="true", simulation__step_count="3"
+    )
     commander.answer = wavy_answer
     commander.call("pause", SetBool, data=True)
     assert commander.states == []
@@ -508,7 +515,7 @@ def test_start_paused_waits_steps_as_told_and_resumes(
 def test_reset_returns_to_the_start_at_rest_with_growing_stamps(
     start: Callable[..., Commander],
 ) -> None:
-    commander = lockstep_run(start, 100, encoder_resolution="0")
+    commander = lockstep_run(start, 100, encoder__resolution="0")
     assert commander.call("reset", Trigger).success
     commander.answer = lambda state: command(state, [0.0, 0.0])
     first = list(commander.states[0].position)
@@ -530,7 +537,7 @@ def test_realtime_without_commander_stays_free_and_counts_exact_periods(
     start: Callable[..., Commander],
 ) -> None:
     before = time.time_ns()
-    commander = start(mode="realtime", encoder_resolution="0")
+    commander = start(mode="realtime", encoder__resolution="0")
     commander.until(lambda: len(commander.states) >= 300 and bool(commander.health))
     times = stamps(commander.states)
     assert before <= times[0] <= time.time_ns()
@@ -546,7 +553,7 @@ def test_realtime_without_commander_stays_free_and_counts_exact_periods(
 def test_realtime_applies_answers_and_falls_silent_with_the_commander(
     start: Callable[..., Commander],
 ) -> None:
-    commander = start(mode="realtime", command_timeout="0.05")
+    commander = start(mode="realtime", drive__command_timeout="0.05")
     commander.answer = lambda state: command(state, [1.0e-4, -1.0e-4])
     commander.until(
         lambda: any(
@@ -565,7 +572,7 @@ def test_two_speaking_commanders_get_no_torque_and_are_reported(
     """The second one's first number steps back: what it says is never taken, not even
     before the graph is looked at.
     """
-    commander = start(mode="realtime", command_delay="0.003")
+    commander = start(mode="realtime", drive__command_delay="0.003")
     commander.answer = lambda state: command(state, [1.0e-4, -1.0e-4])
     commander.until(
         lambda: any(
@@ -747,7 +754,7 @@ def test_a_second_plant_is_seen_by_the_first(plant: Any) -> None:
     node.report()
     assert told[-1] == (DiagnosticStatus.OK, "running")
     plant("lockstep")
-    deadline = time.monotonic() + WAIT
+    deadline = time.monotonic() + PATIENCE
     while (
         "2 publishers on /joint_states; the limit is 1: end all but one (2 x /plant)"
         not in told[-1][1]
@@ -787,13 +794,13 @@ def test_a_plant_unlike_its_drawing_does_what_its_parameters_say(
     commander = lockstep_run(
         start,
         60,
-        stamp_error="2.0e-4",
-        encoder_resolution="0",
-        push="[0.1, 0.2]",
-        push_time="0.01",
-        push_duration="0.02",
-        payload="0.05",
-        payload_time="0.04",
+        encoder__stamp_error="2.0e-4",
+        encoder__resolution="0",
+        push__force="[0.1, 0.2]",
+        push__time="0.01",
+        push__duration="0.02",
+        payload__mass="0.05",
+        payload__time="0.04",
         **given,
     )
     commander.until(lambda: len(commander.joints) >= 60)

@@ -19,6 +19,7 @@ import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
+from patience import PATIENCE, until
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -34,7 +35,6 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from dextar_control.contract import topics
 from dextar_control.nodekit.node import qos
 
-PATIENCE = 30.0  # s, for discovery on a busy machine; not a measurement
 # fewer than the publisher holds: a reliable reader that matches late still gets them
 # all
 COUNT = 150
@@ -63,7 +63,7 @@ def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
     def run(output: Path, *parameters: str, prefix: str = "") -> subprocess.Popen[str]:
         arguments = [
             part
-            for text in (f"output:={output}", "reliable:=true", *parameters)
+            for text in (f"output:={output}", "topics.reliable:=true", *parameters)
             for part in ("-p", text)
         ]
         process = subprocess.Popen(
@@ -85,21 +85,15 @@ def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
             process.stderr.close()
 
 
-def until(
-    condition: Callable[[], Any], act: Callable[[], Any] = lambda: time.sleep(0.02)
-) -> None:
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < deadline, "waited in vain"
-        act()
-
-
 def states(node: Node, process: subprocess.Popen[str]) -> list[JointState]:
     """Publish COUNT joint states once the recorder listens; what was sent."""
     publisher = node.create_publisher(
         JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)
     )
-    until(lambda: publisher.get_subscription_count() > 0 or process.poll() is not None)
+    until(
+        lambda: publisher.get_subscription_count() > 0 or process.poll() is not None,
+        "the recorder to read the states",
+    )
     sent = []
     for k in range(COUNT):
         message = JointState(
@@ -118,9 +112,13 @@ def call(
 ) -> Any:
     """A service's answer."""
     client = node.create_client(kind, name)
-    until(client.service_is_ready)
+    until(client.service_is_ready, f"service {name}")
     future = client.call_async(request)
-    until(future.done, lambda: executor.spin_once(timeout_sec=0.02))
+    until(
+        future.done,
+        f"the answer of {name}",
+        lambda: executor.spin_once(timeout_sec=0.02),
+    )
     node.destroy_client(client)
     return future.result()
 
@@ -163,12 +161,15 @@ def test_every_sample_and_the_run_itself_are_in_the_bag(
     )
     latched.publish(MultiDOFJointTrajectory(joint_names=["end_effector"]))
     extra = plant.create_publisher(String, "remarks", 10)
-    process = start(file, "extra_topics:=remarks ghosts", "parameters_of:=plant nobody")
+    process = start(
+        file, "topics.extra:=remarks ghosts", "bag.parameters_of:=plant nobody"
+    )
     executor = SingleThreadedExecutor(context=plant.context)
     executor.add_node(plant)
     sent = states(plant, process)
     until(
         lambda: extra.get_subscription_count() > 0,
+        "the recorder to read the remarks",
         lambda: executor.spin_once(timeout_sec=0.02),
     )
     extra.publish(String(data="here"))
@@ -176,7 +177,11 @@ def test_every_sample_and_the_run_itself_are_in_the_bag(
     def parameters_are_there() -> bool:
         return file.exists() and b"parameters.plant" in file.read_bytes()
 
-    until(parameters_are_there, lambda: executor.spin_once(timeout_sec=0.02))
+    until(
+        parameters_are_there,
+        "the plant's parameters in the bag",
+        lambda: executor.spin_once(timeout_sec=0.02),
+    )
     code, errors = stop(process, number)
     executor.remove_node(plant)
     assert code == 0, errors
@@ -229,9 +234,9 @@ def test_a_killed_recorder_leaves_a_readable_bag(
     from dextar_control.bags.reader import read_bag
 
     file = tmp_path / "run.mcap"
-    process = start(file, "compression:=none")
+    process = start(file, "bag.compression:=none")
     states(plant, process)
-    until(lambda: file.exists() and b"q21" in file.read_bytes())
+    until(lambda: file.exists() and b"q21" in file.read_bytes(), "a state in the bag")
     process.kill()
     process.wait()
     with pytest.warns(UserWarning, match="last complete chunk"):
@@ -274,9 +279,9 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
     process = start(
         file,
         "record_from_start:=false",
-        "extra_topics:=remarks",
-        "name:=tuning",
-        "parameters_of:=plant",
+        "topics.extra:=remarks",
+        "run.name:=tuning",
+        "bag.parameters_of:=plant",
     )
     executor = SingleThreadedExecutor(context=plant.context)
     executor.add_node(plant)
@@ -308,12 +313,14 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
             remarks.get_subscription_count() > 0
             and latched.get_subscription_count() > 0
         ),
+        "the recorder to read remarks and trajectories",
         lambda: executor.spin_once(timeout_sec=0.02),
     )
     latched.publish(MultiDOFJointTrajectory(joint_names=["end_effector"]))
     say("before")
     until(
         lambda: seen.get("recording") == "False",
+        lambda: f"the recorder to say that it stopped; it says {seen}",
         lambda: executor.spin_once(timeout_sec=0.02),
     )
     assert not file.exists()
@@ -334,11 +341,12 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
         lambda: (
             seen.get("recording") == "True" and seen["parameters_missing"] == "none"
         ),
+        lambda: f"the recorder to say that it records; it says {seen}",
         lambda: executor.spin_once(timeout_sec=0.02),
     )
     changes = [
-        Parameter("notes", value="brake later").to_parameter_msg(),
-        Parameter("tags", value="a b").to_parameter_msg(),
+        Parameter("run.notes", value="brake later").to_parameter_msg(),
+        Parameter("run.tags", value="a b").to_parameter_msg(),
     ]
     set_parameters = SetParameters.Request(parameters=changes)
     answer = call(
@@ -390,8 +398,8 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
         for entry in json.loads(record["parameter_changes"])
     }
     assert changed == {
-        ("/recorder", "notes"): "brake later",
-        ("/recorder", "tags"): "a b",
+        ("/recorder", "run.notes"): "brake later",
+        ("/recorder", "run.tags"): "a b",
         ("/plant", "mode"): "realtime",
     }
     assert yaml.safe_load(record["parameters.plant"])["mode"] == "lockstep"
@@ -427,7 +435,10 @@ def away(publisher: Any, process: subprocess.Popen[str], file: Path, count: int)
             publisher.publish(message)
             sent += 1
 
-    until(lambda: publisher.get_subscription_count() > 0 or process.poll() is not None)
+    until(
+        lambda: publisher.get_subscription_count() > 0 or process.poll() is not None,
+        "the recorder to read the states",
+    )
 
     def repeat(frame: str) -> None:
         """Until a sample is there: a best-effort reader may have matched on one side
@@ -438,7 +449,11 @@ def away(publisher: Any, process: subprocess.Popen[str], file: Path, count: int)
             publish(1, frame)
             time.sleep(0.1)
 
-        until(lambda: file.exists() and frame.encode() in file.read_bytes(), more)
+        until(
+            lambda: file.exists() and frame.encode() in file.read_bytes(),
+            f"a state of frame {frame} in the bag",
+            more,
+        )
 
     repeat("#begin")
     process.send_signal(signal.SIGSTOP)
@@ -452,7 +467,7 @@ def test_a_recorder_that_was_away_is_given_all_it_missed(
     plant: Node, start: Callable[..., Any], tmp_path: Path
 ) -> None:
     file = tmp_path / "run.mcap"
-    process = start(file, "compression:=none", "sync_period:=0.1")
+    process = start(file, "bag.compression:=none", "bag.sync_period:=0.1")
     sent = away(
         plant.create_publisher(
             JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)
@@ -481,7 +496,9 @@ def test_what_is_lost_on_the_way_is_counted_and_told(
     plant: Node, start: Callable[..., Any], tmp_path: Path
 ) -> None:
     file = tmp_path / "run.mcap"
-    process = start(file, "reliable:=false", "compression:=none", "sync_period:=0.1")
+    process = start(
+        file, "topics.reliable:=false", "bag.compression:=none", "bag.sync_period:=0.1"
+    )
     away(
         plant.create_publisher(
             JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)
@@ -518,14 +535,17 @@ def test_a_recording_is_split_while_it_runs(
     folder = tmp_path / "run"
     process = start(
         folder / "run.mcap",
-        "max_bag_size:=70000",
-        "compression:=none",
-        "sync_period:=0.1",
+        "bag.max_size:=70000",
+        "bag.compression:=none",
+        "bag.sync_period:=0.1",
     )
     publisher = plant.create_publisher(
         JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)
     )
-    until(lambda: publisher.get_subscription_count() > 0 or process.poll() is not None)
+    until(
+        lambda: publisher.get_subscription_count() > 0 or process.poll() is not None,
+        "the recorder to read the states",
+    )
     sent = 0
 
     def publish() -> None:
@@ -537,7 +557,7 @@ def test_a_recording_is_split_while_it_runs(
             sent += 1
         time.sleep(0.02)
 
-    until(lambda: len(list(folder.glob("run_*.mcap"))) >= 3, publish)
+    until(lambda: len(list(folder.glob("run_*.mcap"))) >= 3, "a third file", publish)
     code, errors = stop(process)
     assert code == 0, errors
     with Reader(folder) as reader:
@@ -553,22 +573,26 @@ def test_a_recording_is_split_while_it_runs(
 @pytest.mark.parametrize(
     ("output", "parameter", "words"),
     [
-        ("run.bag", "name:=x", "run.bag: the name must end in .mcap"),
+        ("run.bag", "run.name:=x", "run.bag: the name must end in .mcap"),
         (
             "run.mcap",
-            "max_bag_size:=10",
-            "'max_bag_size' = 10; it must be 0 or >= 65536 bytes",
+            "bag.max_size:=10",
+            "'bag.max_size' = 10; it must be 0 or >= 65536 bytes",
         ),
         (
             "run.mcap",
-            "max_bag_duration:=-1.0",
-            "'max_bag_duration' = -1.0; it must be >= 0",
+            "bag.max_duration:=-1.0",
+            "'bag.max_duration' = -1.0; it must be >= 0",
         ),
-        ("run.mcap", "sync_period:=0.0", "'sync_period' = 0.0; it must be >= 0.1"),
         (
             "run.mcap",
-            "compression:=lz5",
-            "'compression' = 'lz5'; it must be one of zstd, none",
+            "bag.sync_period:=0.0",
+            "'bag.sync_period' = 0.0; it must be >= 0.1",
+        ),
+        (
+            "run.mcap",
+            "bag.compression:=lz5",
+            "'bag.compression' = 'lz5'; it must be one of zstd, none",
         ),
     ],
 )
@@ -588,7 +612,7 @@ def test_the_bags_folder_follows_the_stamp(
 ) -> None:
     process = start(tmp_path / "{stamp}" / "run.mcap")
     until(
-        lambda: list(tmp_path.glob("*/run.mcap"))
+        lambda: list(tmp_path.glob("*/run.mcap")), "a bag"
     )  # a signal before that ends a node that is still being made
     assert stop(process)[0] == 0
     [folder] = tmp_path.iterdir()
@@ -611,9 +635,9 @@ def test_a_bag_that_is_deleted_under_the_recorder_ends_the_recording_aloud(
     plant: Node, start: Callable[..., Any], tmp_path: Path
 ) -> None:
     file = tmp_path / "run" / "run.mcap"
-    process = start(file, "sync_period:=0.1")
+    process = start(file, "bag.sync_period:=0.1")
     states(plant, process)
-    until(file.exists)
+    until(file.exists, "a bag")
     shutil.rmtree(file.parent)
     _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
@@ -627,7 +651,7 @@ def test_a_disk_that_fills_ends_the_recording_aloud(
     limit = (
         "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000)); "
     )
-    process = start(tmp_path / "run.mcap", "compression:=none", prefix=limit)
+    process = start(tmp_path / "run.mcap", "bag.compression:=none", prefix=limit)
     states(plant, process)
     _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1

@@ -18,6 +18,7 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
+from patience import PATIENCE
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rosbags.rosbag2 import Reader
@@ -29,7 +30,6 @@ from dextar_control.bags.recover import recover
 from dextar_control.contract import topics
 from dextar_control.nodekit.node import qos
 
-PATIENCE = 60.0  # s, on a busy machine; not a measurement
 RECORDER = (
     "import sys; from dextar_control.nodes.recorder import main;"
     " sys.exit(main(sys.argv[1:]))"
@@ -137,10 +137,10 @@ class Talker:
 
 def arguments(output: Path, *parameters: str) -> list[str]:
     always = (
-        "extra_topics:=numbers",
-        "parameters_of:=''",
-        "compression:=none",
-        "reliable:=true",
+        "topics.extra:=numbers",
+        "bag.parameters_of:=''",
+        "bag.compression:=none",
+        "topics.reliable:=true",
     )
     settings = (f"output:={output}", *always, *parameters)
     return [
@@ -275,7 +275,7 @@ def test_a_power_cut_costs_no_more_than_what_the_disk_had_not_confirmed(
         str(out),
     ]
     process = subprocess.Popen(
-        [*command, *arguments(disk / "bag" / "run.mcap", "sync_period:=0.1")],
+        [*command, *arguments(disk / "bag" / "run.mcap", "bag.sync_period:=0.1")],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import rclpy
+from patience import PATIENCE
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
@@ -17,17 +18,16 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rig import PATIENCE
 from std_srvs.srv import Trigger
 
+from dextar_control.contract.node_parameters import RECORDER
 from dextar_control.nodekit.node import DextarNode
-from dextar_control.nodes.recorder import SPECS
 
 WaitSet = rclpy_implementation.WaitSet
 
 
 class _Unserved(DextarNode):
-    NAME, PARAMETERS, ROBOT = "recorder", SPECS, False
+    NAME, PARAMETERS, ROBOT = "recorder", RECORDER, False
 
 
 class _Desk:

@@ -41,9 +41,9 @@ def process() -> Iterator[Rig]:
 def rig(process: Rig, q_a: np.ndarray) -> Iterator[Rig]:
     """A controller anew that enables itself after HEALTHY."""
     values = {
-        "healthy_time": 1e-3 * HEALTHY,
-        "reference_timeout": 30.0,
-        "publish_effort_array": False,
+        "joint_states.healthy_time": 1e-3 * HEALTHY,
+        "trajectory.wait_timeout": 30.0,
+        "publish.effort_array": False,
     }
     assert not any(process.put("controller", **values))
     assert process.change("configure")
@@ -64,7 +64,9 @@ def rig(process: Rig, q_a: np.ndarray) -> Iterator[Rig]:
 
 def _clear(rig: Rig, q_a: np.ndarray) -> None:
     """Of an inactive controller: what a test latched."""
-    assert not any(rig.put("controller", assembly_mode=1, healthy_time=0.0))
+    assert not any(
+        rig.put("controller", assembly_mode=1, joint_states__healthy_time=0.0)
+    )
     assert rig.change("activate")
     matched(rig)
     rig.answer(MS, q_a)
@@ -158,7 +160,7 @@ def test_a_trajectory_that_comes_early_begins_with_the_first_held_state(
 def test_a_trajectory_waits_for_its_enabling_no_longer_than_its_time(
     rig: Rig, q_a: np.ndarray, trip: Plan
 ) -> None:
-    assert rig.put("controller", reference_timeout=0.03) == [""]
+    assert rig.put("controller", trajectory__wait_timeout=0.03) == [""]
     rig.answer(0, q_a)
     rig.serve(trip)
     rig.until(lambda: rig.controller("waiting_for") == "the enabling", "not kept")
@@ -185,7 +187,7 @@ def test_a_start_too_far_ahead_is_refused_and_one_that_is_missed_dropped(
     )
     rig.serve(trip, 20_000 * MS)
     rig.until(lambda: rig.controller("waiting_for") == "its start", "not accepted")
-    assert rig.put("controller", reference_timeout=0.01) == [""]
+    assert rig.put("controller", trajectory__wait_timeout=0.01) == [""]
     for k in range(1, 60):
         rig.answer((HEALTHY + 4 + k) * MS, q_a)
     rig.until(
@@ -248,7 +250,7 @@ def test_the_effort_array_carries_the_commands_torques_and_is_watched_too(
 ) -> None:
     assert rig.change("deactivate")
     assert rig.change("cleanup")
-    assert not any(rig.put("controller", publish_effort_array=True))
+    assert not any(rig.put("controller", publish__effort_array=True))
     assert rig.change("configure")
     assert rig.change("activate")
     arrays: list[list[float]] = []

@@ -29,16 +29,16 @@ NODES = {
         "-p",
         "plant:mode:=lockstep",
         "-p",
-        "plant:real_time_factor:=0.0",
+        "plant:simulation.real_time_factor:=0.0",
         "-p",
         "plant:task.start:=[-0.01, 0.12]",
     ),
     "dextar_control.nodes.controller": ("-p", "controller:lockstep:=true"),
     "dextar_control.nodes.trajectory_server": (
         "-p",
-        "trajectory_server:repeat:=2",
+        "trajectory_server:task.repeat:=2",
         "-p",
-        "trajectory_server:dwell:=0.05",
+        "trajectory_server:task.dwell:=0.05",
     ),
 }
 
@@ -87,9 +87,9 @@ def _call(rig: Rig, kind: type, name: str, request: object) -> Any:
 
 
 def _set(rig: Rig, **values: object) -> list[tuple[bool, str]]:
-    """Set parameters of the trajectory server in turn."""
+    """Set parameters of the trajectory server's task in turn."""
     parameters = [
-        Parameter(name, value=value).to_parameter_msg()
+        Parameter(f"task.{name}", value=value).to_parameter_msg()
         for name, value in values.items()
     ]
     answer = _call(
@@ -180,7 +180,10 @@ def test_a_tour_is_planned_beside_the_services_drawn_and_certified(
     assert all(successful for successful, _ in _set(robot, tour=6, dwell=new, repeat=1))
     (refusal,) = _set(robot, point=[0.0, 0.0845])
     assert not refusal[0]
-    assert "point = [0.0, 0.0845] and tour = 6 are given; one may be" in refusal[1]
+    assert (
+        "task.point = [0.0, 0.0845] and task.tour = 6 are given; one may be"
+        in refusal[1]
+    )
     planned = _ask(robot, Trigger, "trajectory_server/plan", Trigger.Request())
     stopped = _ask(robot, Trigger, "trajectory_server/stop", Trigger.Request())
     robot.until(stopped.done, "no stop while it plans")

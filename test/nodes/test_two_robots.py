@@ -11,9 +11,10 @@ from collections.abc import Iterator
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from patience import PATIENCE
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rig import PATIENCE, start, stop
+from rig import start, stop
 
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.topics import CLOCK, DIAGNOSTICS, SERVICES, TOPICS
@@ -23,7 +24,10 @@ from dextar_control.nodekit.node import qos
 
 DURATION = {"left": 0.33, "right": 0.4}  # s of one way
 MODULES = {
-    "plant": ("dextar_sim.node", ("mode:=lockstep", "real_time_factor:=0.0")),
+    "plant": (
+        "dextar_sim.node",
+        ("mode:=lockstep", "simulation.real_time_factor:=0.0"),
+    ),
     "controller": ("dextar_control.nodes.controller", ("lockstep:=true",)),
     "trajectory_server": (
         "dextar_control.nodes.trajectory_server",
@@ -98,7 +102,7 @@ def seen() -> Iterator[Seen]:
         for module, values in MODULES.values():
             own = [part for value in values for part in ("-p", value)]
             own += (
-                ["-p", f"duration:={DURATION[robot]}"]
+                ["-p", f"task.duration:={DURATION[robot]}"]
                 if module.endswith("server")
                 else []
             )

@@ -39,8 +39,8 @@ def measure() -> dict[str, float]:
         robot,
         np.array(task["task.start"]),
         np.array(task["task.goal"]),
-        task["duration"],
-        task["dwell"],
+        task["task.duration"],
+        task["task.dwell"],
     )
     settings = Settings.from_values(node_defaults("controller"))
     loop = ControlLoop(robot, settings, 1)

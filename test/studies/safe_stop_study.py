@@ -28,7 +28,11 @@ from closed_loop import advance, running, s_of
 
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, load_robot
-from dextar_control.contract.settings import Settings, default_settings
+from dextar_control.contract.settings import (
+    SETTING_NAMES,
+    Settings,
+    default_settings,
+)
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import Phase
 from dextar_control.planning.planner import Plan, plan_return_trip
@@ -116,6 +120,12 @@ def instants(plan: Plan, count: int) -> list[tuple[float, str]]:
     return sorted(found)
 
 
+def intolerant(settings: Settings) -> Settings:
+    """Settings with which any tracking error begins a safe stop."""
+    watch = replace(settings.watch, max_tracking_error=1e-12)
+    return replace(settings, watch=watch)
+
+
 def stopped(
     rig: Rig, loop: ControlLoop, trigger: str, crossing: float, names: tuple[str, str]
 ) -> Row:
@@ -126,7 +136,7 @@ def stopped(
         loop.stop()
         finished = loop.phase is not Phase.SAFE_STOP
     else:
-        loop.configure(replace(loop.settings, max_tracking_error=1e-12))
+        loop.configure(intolerant(loop.settings))
         finished = False
     rows: list[list[float]] = []
     over, limit, power = np.nan, loop.torque_limit, []
@@ -397,7 +407,7 @@ def main() -> int:
         }
         for items in (chosen.set, chosen.built)
     )
-    unknown = sorted(set(changes) - set(Settings.__dataclass_fields__))
+    unknown = sorted(set(changes) - set(SETTING_NAMES))
     if unknown:
         parser.error(f"unknown setting '{unknown[0]}'")
     rows = study(

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import WIDTHS, Page, is_legible
-from recorded_run import lockstep_bag
 from synthetic_run import write_run
 
 from dextar_control.analysis import compute_metrics, load_run
@@ -45,9 +44,9 @@ def is_drawn(page: Page) -> None:
 
 
 @pytest.fixture(scope="module")
-def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def report(demo: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report")
-    analyze(lockstep_bag(), folder)
+    analyze(demo / "run.mcap", folder)
     return folder / "report.html"
 
 
@@ -157,9 +156,9 @@ def test_many_crossings_and_what_is_no_number_draw_too(tmp_path: Path) -> None:
         assert page.errors == []
 
 
-def test_the_comparison_draws_too(tmp_path: Path) -> None:
+def test_the_comparison_draws_too(demo: Path, tmp_path: Path) -> None:
     write_run(tmp_path / "rig.mcap", truth=False)
-    write_comparison(compare_bags([lockstep_bag(), tmp_path / "rig.mcap"]), tmp_path)
+    write_comparison(compare_bags([demo / "run.mcap", tmp_path / "rig.mcap"]), tmp_path)
     with opened(tmp_path / "comparison.html") as page:
         assert len(page.evaluate(CURVES)) == 6
         is_drawn(page)

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import independent_numbers
 import pytest
-from recorded_run import lockstep_bag
 from synthetic_run import write_run
 
 from dextar_control.analysis import compute_metrics, load_run
@@ -57,8 +56,10 @@ def test_the_independent_script_uses_rosbags_and_numpy_alone() -> None:
     ) == {"numpy", "rosbags"}
 
 
-def test_crossing_instants_peak_torque_and_errors_of_a_real_run_agree() -> None:
-    compare(lockstep_bag())
+def test_crossing_instants_peak_torque_and_errors_of_a_real_run_agree(
+    demo: Path,
+) -> None:
+    compare(demo / "run.mcap")
 
 
 def test_they_agree_where_the_numbers_are_known(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded_run import lockstep_bag
 from synthetic_run import CROSSINGS, NEAR_TORQUE, TRUE_OFFSET, robot, write_run
 
 from dextar_control.analysis import Metrics, Run, compute_metrics, load_run
@@ -247,8 +246,10 @@ def test_only_a_topic_with_a_rate_of_its_own_has_a_mean_rate() -> None:
     )
 
 
-def test_the_page_of_a_real_run_is_light_and_loads_nothing(tmp_path: Path) -> None:
-    analyze(lockstep_bag(), tmp_path)
+def test_the_page_of_a_real_run_is_light_and_loads_nothing(
+    demo: Path, tmp_path: Path
+) -> None:
+    analyze(demo / "run.mcap", tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     recorded = re.search(r'id="figures">(.*?)</script>', page, re.DOTALL)
     assert recorded is not None
@@ -484,13 +485,13 @@ def test_what_is_not_the_default_stands_first() -> None:
     run, metrics, _ = made()
     own = {
         **run.parameters["controller"],
-        "zone": 0.25,
+        "near_locus.fade_abs_s": 0.25,
         "robot.end_effector_mass": 0.06,
     }
     page = Text(
         render_report(dataclasses.replace(run, parameters={"controller": own}), metrics)
     )
-    assert ["zone", "0.25", "0.2"] in page.rows and [
+    assert ["near_locus.fade_abs_s", "0.25", "0.2"] in page.rows and [
         "end_effector_mass",
         "0.06",
         "0.05",
@@ -505,13 +506,13 @@ def test_the_plan_is_a_table_beside_its_limits() -> None:
 
 
 def test_a_recorded_robot_is_not_taken_for_another(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert (
         cli.main(
             [
                 "analyze",
-                str(lockstep_bag()),
+                str(demo / "run.mcap"),
                 "--output",
                 str(tmp_path),
                 "--namespace",

@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE
 
 from dextar_control.contract import caches
 from dextar_control.contract.caches import cache_folder, prepare_environment
@@ -230,7 +231,7 @@ def test_two_processes_that_start_at_once_share_one_library(tmp_path: Path) -> N
         for _ in range(3)
     ]
     answers = {
-        process.communicate(timeout=120)[0].split("\n")[0] for process in started
+        process.communicate(timeout=PATIENCE)[0].split("\n")[0] for process in started
     }
     assert all(process.returncode == 0 for process in started) and len(answers) == 1
     assert (

@@ -20,6 +20,7 @@ import campaign_fake
 import pytest
 import yaml
 from distributed import LocalCluster
+from patience import PATIENCE
 
 from dextar_control.cli import campaign
 from dextar_control.contract.errors import CampaignError, ParameterError
@@ -35,9 +36,6 @@ from dextar_control.experiments.campaign.store import Store, read_rows
 from dextar_control.experiments.campaign.worker import Job, run_trials
 
 ROOT = Path(__file__).resolve().parents[2]
-PATIENCE = (
-    60.0  # s until something that must happen counts as not happening: nothing is timed
-)
 DOCUMENT: dict[str, Any] = {
     "robot": "dextar.yaml",
     "rig": "campaign_fake:Rig",

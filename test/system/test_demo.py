@@ -35,37 +35,19 @@ def dextar(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.fixture(scope="module")
-def demo(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> tuple[Path, subprocess.CompletedProcess[str]]:
-    """One lockstep demo, shared by the tests that look at what it left."""
-    runs = tmp_path_factory.mktemp("runs")
-    answer = dextar(
-        "demo", "--lockstep", "--output", str(runs), "-p", "plant.pose_rate:=100.0"
-    )
-    return runs / "latest", answer
-
-
-def test_the_lockstep_demo_is_a_success_within_its_bars(
-    demo: tuple[Path, subprocess.CompletedProcess[str]],
-) -> None:
-    folder, answer = demo
-    assert answer.returncode == 0, answer.stdout + answer.stderr
-    metrics = json.loads((folder / "metrics.json").read_text())
+def test_the_lockstep_demo_is_a_success_within_its_bars(demo: Path) -> None:
+    metrics = json.loads((demo / "metrics.json").read_text())
     assert metrics["success"] is True
     assert metrics["max_true_error"] <= 0.3e-3
     assert metrics["final_true_error"] <= 0.1e-3
     assert metrics["torque_ratio"] <= 1.3
     assert metrics["torque_ratio_near"] <= 1.0
     assert metrics["missed"] == 0
-    assert (folder / "figure.png").stat().st_size > 20_000
+    assert (demo / "figure.png").stat().st_size > 20_000
 
 
-def test_the_lockstep_bag_holds_every_sample(
-    demo: tuple[Path, subprocess.CompletedProcess[str]],
-) -> None:
-    run = load_run(demo[0] / "run.mcap")
+def test_the_lockstep_bag_holds_every_sample(demo: Path) -> None:
+    run = load_run(demo / "run.mcap")
     stamps = run.states.stamps
     period = yaml.safe_load((ROOT / "config/crossing.yaml").read_text())["/**"][
         "ros__parameters"
@@ -75,9 +57,7 @@ def test_the_lockstep_bag_holds_every_sample(
     assert set(stamps[:-1]) <= set(run.commands.stamps)
 
 
-def test_rosbags_reads_every_contract_topic(
-    demo: tuple[Path, subprocess.CompletedProcess[str]],
-) -> None:
+def test_rosbags_reads_every_contract_topic(demo: Path) -> None:
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
@@ -91,7 +71,7 @@ def test_rosbags_reads_every_contract_topic(
         for topic in present
     }
     typestore = get_typestore(Stores.ROS2_JAZZY)
-    with (demo[0] / "run.mcap").open("rb") as file:
+    with (demo / "run.mcap").open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         seen = {}
         for schema, channel, message, decoded in reader.iter_decoded_messages():
@@ -104,27 +84,26 @@ def test_rosbags_reads_every_contract_topic(
 
 
 def test_analyze_gives_the_same_metrics_from_the_bag_alone(
-    demo: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
+    demo: Path, tmp_path: Path
 ) -> None:
     bag = tmp_path / "moved.mcap"
-    bag.write_bytes((demo[0] / "run.mcap").read_bytes())
+    bag.write_bytes((demo / "run.mcap").read_bytes())
     answer = dextar("analyze", str(bag), "--output", str(tmp_path))
     assert answer.returncode == 0, answer.stdout + answer.stderr
     again, first = (
-        json.loads((folder / "metrics.json").read_text())
-        for folder in (tmp_path, demo[0])
+        json.loads((folder / "metrics.json").read_text()) for folder in (tmp_path, demo)
     )
     assert again.pop("bag") != first.pop("bag")
     assert again == first
 
 
 def test_two_lockstep_runs_give_bit_identical_states(
-    demo: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
+    demo: Path, tmp_path: Path
 ) -> None:
     answer = dextar("demo", "--lockstep", "--output", str(tmp_path))
     assert answer.returncode == 0, answer.stdout + answer.stderr
     first, second = (
-        load_run(demo[0] / "run.mcap"),
+        load_run(demo / "run.mcap"),
         load_run(tmp_path / "latest" / "run.mcap"),
     )
     length = min(len(first.states.stamps), len(second.states.stamps))
@@ -196,7 +175,7 @@ def test_a_tour_crosses_everywhere_and_the_estimator_knows_it(tmp_path: Path) ->
     [
         (("--point", "0.0", "0.05"), "off the Type 2 locus"),
         (
-            ("--tour", "2", "-p", "trajectory_server.point:=[0.0, 0.08]"),
+            ("--tour", "2", "-p", "trajectory_server.task.point:=[0.0, 0.08]"),
             "are given; one may be",
         ),
         (("--tour", "2", "--point", "0.0", "0.08"), "not allowed with argument"),

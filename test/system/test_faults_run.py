@@ -124,7 +124,7 @@ def test_a_drive_without_its_timeout_and_a_controller_that_answers_bad_states_in
     _, events = session(
         tmp_path,
         {"commands_gone_250ms": 1, "states_nan": 1},
-        plant=["command_timeout:=10.0"],
+        plant=["drive.command_timeout:=10.0"],
         modules={"controller": "bad_controller"},
     )
     seen = violations(events)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import link_peer
 import pytest
+from patience import PATIENCE
 from scipy.stats import binomtest, kstest
 
 from dextar_control.experiments.faults.frames import (
@@ -27,7 +28,6 @@ from dextar_control.experiments.faults.netns import ADDRESSES, FaultyLink, Side
 
 ROOT = Path(__file__).resolve().parents[2]
 PEER = [sys.executable, link_peer.__file__]
-PATIENCE = 90.0  # s
 UNLIKELY = 1e-6  # of a count or a distribution, when the link is as declared
 
 

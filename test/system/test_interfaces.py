@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rig import NODES, PATIENCE, start, stop
+from patience import PATIENCE
+from rig import NODES, start, stop
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from dextar_control.contract.topics import (
@@ -113,11 +114,11 @@ def test_without_the_package_its_server_says_what_to_do(
     assert go_server() == 2
     assert capsys.readouterr().err == f"error: {WITHOUT_INTERFACES}\n"
     controller = start(
-        "dextar_control.nodes.controller", "-p", "publish_readable:=true"
+        "dextar_control.nodes.controller", "-p", "publish.readable:=true"
     )
     output = controller.communicate(timeout=PATIENCE)[0]
     assert controller.returncode == 2, output
-    assert f"publish_readable = true: {WITHOUT_INTERFACES}, or leave it false" in output
+    assert f"publish.readable = true: {WITHOUT_INTERFACES}, or leave it false" in output
 
 
 @pytest.fixture(scope="module")
@@ -188,7 +189,7 @@ def go(
     """What goals to a running robot came to, and a readable message of each kind."""
     bag = tmp_path_factory.mktemp("run") / "run.mcap"
     nodes = NODES | {"go_server": ("dextar_control.nodes.go_server", ())}
-    own = {"controller": ("publish_readable:=true",), "recorder": (f"output:={bag}",)}
+    own = {"controller": ("publish.readable:=true",), "recorder": (f"output:={bag}",)}
     goals: list[dict[str, Any]] = [
         {},
         {"task": 7},

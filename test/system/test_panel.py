@@ -16,8 +16,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from browser import PATIENCE, WIDTHS, Page
+from browser import WIDTHS, Page
 from no_robot import Nothing
+from patience import PATIENCE
 from rig import start, stop
 from tornado.websocket import websocket_connect
 
@@ -32,10 +33,13 @@ PICTURE = os.environ.get(
 NODES = {
     "plant": (
         "dextar_sim.node",
-        ("mode:=lockstep", f"real_time_factor:={0.1 if PICTURE else 1.0}"),
+        ("mode:=lockstep", f"simulation.real_time_factor:={0.1 if PICTURE else 1.0}"),
     ),  # a picture takes a while
     "controller": ("dextar_control.nodes.controller", ("lockstep:=true",)),
-    "trajectory_server": ("dextar_control.nodes.trajectory_server", ("dwell:=0.05",)),
+    "trajectory_server": (
+        "dextar_control.nodes.trajectory_server",
+        ("task.dwell:=0.05",),
+    ),
     "recorder": ("dextar_control.nodes.recorder", ("record_from_start:=false",)),
 }
 CUT = """(() => {
@@ -302,15 +306,22 @@ def test_what_cannot_be_driven_is_refused_with_what_would_do(
 def test_a_parameter_out_of_its_range_is_refused_and_one_within_is_set(
     page: Page, robot: Robot
 ) -> None:
-    row = "document.querySelector('[data-name=damping_ratio] input')"
+    row = "document.querySelector('[data-name=\"feedback.damping_ratio\"] input')"
     page.wait(f"{row}.value === '1'")
-    for value, told in ((40, "'damping_ratio' = 40; it must be <= 5"), (1.2, "")):
+    for value, told in (
+        (40, "'feedback.damping_ratio' = 40; it must be <= 5"),
+        (1.2, ""),
+    ):
         page.evaluate(
             f"{row}.value = '{value}'; {row}.dispatchEvent(new Event('change'))"
         )
-        says(page, "notice" if told else "lines", told or "Damping_ratio is 1.2.")
+        says(
+            page,
+            "notice" if told else "lines",
+            told or "'feedback.damping_ratio' is 1.2.",
+        )
     page.wait(
-        "document.querySelector('[data-name=damping_ratio]').classList.contains('changed')"
+        "document.querySelector('[data-name=\"feedback.damping_ratio\"]').classList.contains('changed')"
     )
     page.evaluate("document.getElementById('law-law').value = 'projected'")
     page.click("#law button")

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE
 
 ROOT = Path(__file__).resolve().parents[2]
 LOADED = """
@@ -73,5 +74,5 @@ def test_a_node_that_is_being_made_ends_although_the_compiler_swallows_the_inter
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"
     process.send_signal(number)
-    output, _ = process.communicate(timeout=60.0)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert (process.returncode, output) == (0, "")

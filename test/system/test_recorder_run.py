@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
 import sys
 from collections import defaultdict
 from pathlib import Path
@@ -35,39 +34,9 @@ STREAMS = (
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of a run with a camera, named on the command line."""
-    runs = tmp_path_factory.mktemp("runs")
-    settings = (
-        "plant.pose_rate:=100.0",
-        "recorder.name:=first light",
-        "recorder.tags:=demo lockstep",
-    )
-    answer = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "dextar_control.cli.main",
-            "demo",
-            "--lockstep",
-            "--output",
-            str(runs),
-            *(part for setting in settings for part in ("-p", setting)),
-        ],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        timeout=300,
-    )
-    assert answer.returncode == 0, answer.stdout + answer.stderr
-    return runs / "latest"
-
-
-@pytest.fixture(scope="module")
-def record(folder: Path) -> dict[str, str]:
+def record(demo: Path) -> dict[str, str]:
     """The bag's metadata record of the run."""
-    with (folder / "run.mcap").open("rb") as stream:
+    with (demo / "run.mcap").open("rb") as stream:
         return [
             entry.metadata
             for entry in make_reader(stream).iter_metadata()
@@ -75,14 +44,12 @@ def record(folder: Path) -> dict[str, str]:
         ][-1]
 
 
-def test_in_lockstep_not_one_sample_is_lost(
-    folder: Path, record: dict[str, str]
-) -> None:
+def test_in_lockstep_not_one_sample_is_lost(demo: Path, record: dict[str, str]) -> None:
     """By the publishers' own numbers in the file, and by what the recorder says of
     itself.
     """
     numbers: dict[str, list[int]] = defaultdict(list)
-    with (folder / "run.mcap").open("rb") as stream:
+    with (demo / "run.mcap").open("rb") as stream:
         for _, channel, message in make_reader(stream).iter_messages():
             numbers[channel.topic].append(message.sequence)
     for topic in STREAMS:
@@ -95,8 +62,8 @@ def test_in_lockstep_not_one_sample_is_lost(
         assert counts[topic] == {"received": len(seen), "lost": 0, "dropped": 0}, topic
 
 
-def test_the_runs_folder_is_a_bag_for_rosbags(folder: Path) -> None:
-    info = yaml.safe_load((folder / "metadata.yaml").read_text())[
+def test_the_runs_folder_is_a_bag_for_rosbags(demo: Path) -> None:
+    info = yaml.safe_load((demo / "metadata.yaml").read_text())[
         "rosbag2_bagfile_information"
     ]
     assert info["custom_data"] == {
@@ -106,7 +73,7 @@ def test_the_runs_folder_is_a_bag_for_rosbags(folder: Path) -> None:
         "estimator": "observer",
         "dextar": info["custom_data"]["dextar"],
     }
-    with Reader(folder) as reader:
+    with Reader(demo) as reader:
         counts: dict[str, int] = defaultdict(int)
         for connection, _, raw in reader.messages():
             TYPES.deserialize_cdr(raw, connection.msgtype)
@@ -121,11 +88,11 @@ def test_the_runs_folder_is_a_bag_for_rosbags(folder: Path) -> None:
     assert counts["/external_pose"] > 10
 
 
-def test_three_readers_decode_every_message_alike(folder: Path) -> None:
+def test_three_readers_decode_every_message_alike(demo: Path) -> None:
     """Rosbags, mcap-ros2-support and Foxglove's: numbers to the bit, texts to the
     letter.
     """
-    file = folder / "run.mcap"
+    file = demo / "run.mcap"
     expected = {}
     with Reader(file) as reader:
         for connection, time, raw in reader.messages():

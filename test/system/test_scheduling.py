@@ -8,6 +8,8 @@ import os
 import subprocess
 import sys
 
+from patience import PATIENCE
+
 PLAIN = {"thread_priority": 0, "cpu_affinity": [], "lock_memory": False}
 ASK = """
 import os, resource, threading
@@ -36,7 +38,7 @@ def ask(before: str = "", **values: object) -> list[str]:
         capture_output=True,
         text=True,
         check=True,
-        timeout=60,
+        timeout=PATIENCE,
     )
     return answer.stdout.strip().splitlines()
 
@@ -81,6 +83,6 @@ print(os.sched_getscheduler(0))
     ):
         command = [sys.executable, "-c", code.format(chosen)]
         answer = subprocess.run(
-            command, capture_output=True, text=True, check=True, timeout=60
+            command, capture_output=True, text=True, check=True, timeout=PATIENCE
         )
         assert int(answer.stdout) == getattr(os, found)

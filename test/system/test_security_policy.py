@@ -18,9 +18,10 @@ from xml.etree import ElementTree
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from patience import PATIENCE
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rig import PATIENCE, start, stop
+from rig import start, stop
 
 from dextar_control.check_rig.client import RigClient
 from dextar_control.contract.errors import ParameterError
@@ -54,11 +55,11 @@ RIGHTS = (
 OF_ACTIONS = (("action", "execute"), ("action", "call"))
 READABLE = {f"/{topic.name}" for topic in (READABLE_STATE, READABLE_CRITERION)}
 MODULES = {
-    "plant": ("dextar_sim.node", "pose_rate:=50.0"),
+    "plant": ("dextar_sim.node", "external_pose.rate:=50.0"),
     "controller": (
         "dextar_control.nodes.controller",
         "estimator:=external",
-        "publish_effort_array:=true",
+        "publish.effort_array:=true",
     ),
     "trajectory_server": ("dextar_control.nodes.trajectory_server",),
     "recorder": ("dextar_control.nodes.recorder",),

@@ -14,9 +14,9 @@ import time
 import rclpy
 from dextar_interfaces.action import Go
 from diagnostic_msgs.msg import DiagnosticArray
+from patience import PATIENCE
 from rclpy.action import ActionClient
 from rclpy.node import Node
-from rig import PATIENCE
 
 from dextar_control.contract.topics import (
     DIAGNOSTICS,

@@ -251,16 +251,16 @@ ROBOT = Robot.of(Biglide(), NUMBERS)
 RESOLUTION = 1e-6  # m, of the sliders' encoders
 # A slider's metres and newtons are other numbers than a motor's radians and newton metres.
 SETTINGS: dict[str, Any] = {
-    "encoder_deviation": 2e-6,
-    "bias_deviation": 1e-4,
-    "bias_walk": 1e-4,
-    "torque_deviation": 0.5,
-    "passage_encoder_deviation": 1e-6,
-    "passage_torque_deviation": 0.02,
-    "passage_acceleration_deviation": 0.1,
-    "watch_torque": 10.0,
-    "brake_gain": 20.0,
-    "max_joint_jump": 2e-3,
-    "max_joint_misfit": 2e-3,
-    "joint_margin": 5e-3,
+    "observer.encoder_deviation": 2e-6,
+    "observer.bias_deviation": 1e-4,
+    "observer.bias_walk": 1e-4,
+    "observer.torque_deviation": 0.5,
+    "crossing_test.encoder_deviation": 1e-6,
+    "crossing_test.torque_deviation": 0.02,
+    "crossing_test.acceleration_deviation": 0.1,
+    "torque_limit.min_torque": 10.0,
+    "safe_stop.brake_gain": 20.0,
+    "watch.max_joint_jump": 2e-3,
+    "watch.max_joint_misfit": 2e-3,
+    "watch.joint_margin": 5e-3,
 }

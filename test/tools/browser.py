@@ -16,9 +16,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+from patience import PATIENCE
+
 from dextar_control.cli.pdf import find_browser
 
-PATIENCE = 60.0  # s for a browser on a busy machine
 FLAGS = (
     "--headless",
     "--no-sandbox",

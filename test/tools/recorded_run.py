@@ -1,13 +1,7 @@
-"""Bags for the analysis' tests: one of a real lockstep run, and bags made by changing
-another's messages.
-"""
+"""Bags made by changing another's messages."""
 
 from __future__ import annotations
 
-import functools
-import subprocess
-import sys
-import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -17,27 +11,6 @@ from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
-ROOT = Path(__file__).resolve().parents[2]
-
-
-@functools.cache
-def lockstep_bag() -> Path:
-    """The bag of one ``dextar demo --lockstep``, made once for a test process."""
-    folder = Path(tempfile.mkdtemp(prefix="dextar_run_"))
-    command = [
-        sys.executable,
-        "-m",
-        "dextar_control.cli.main",
-        "demo",
-        "--lockstep",
-        "--output",
-        str(folder),
-    ]
-    answer = subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert answer.returncode == 0, answer.stdout + answer.stderr
-    return next((folder / "latest").resolve().glob("**/*.mcap"))
 
 
 Change = Callable[[str, Any], Iterable[tuple[str, Any]]]

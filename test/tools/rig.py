@@ -18,6 +18,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from patience import PATIENCE
 from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -38,14 +39,14 @@ from dextar_control.nodes.messages import from_trajectory
 from dextar_control.nodes.trajectory_server import served_times
 from dextar_control.planning.planner import Plan
 
-PATIENCE = (
-    60.0  # s until something that must happen counts as not happening: nothing is timed
-)
 # of one robot in lockstep: module and parameters
 NODES = {
     "plant": ("dextar_sim.node", ("mode:=lockstep",)),
     "controller": ("dextar_control.nodes.controller", ("lockstep:=true",)),
-    "trajectory_server": ("dextar_control.nodes.trajectory_server", ("dwell:=0.05",)),
+    "trajectory_server": (
+        "dextar_control.nodes.trajectory_server",
+        ("task.dwell:=0.05",),
+    ),
     "recorder": ("dextar_control.nodes.recorder", ()),
 }
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -234,6 +235,8 @@ def write_run(
     last_phase: int = 1,
     close: bool = True,
     says: tuple[int, int] | None = (1, 1),
+    parameters: Mapping[str, Mapping[str, object]] | None = None,
+    changes: Sequence[Mapping[str, object]] = (),
 ) -> BagWriter:
     """Record the run.
 
@@ -241,6 +244,9 @@ def write_run(
         bounce: the end effector is reflected at the locus instead of passing it.
         says: the estimator's verdicts; None records none, as bags did before there were
             any.
+        parameters: of each node as recorded, in place of the controller's law and
+            estimator.
+        changes: of parameters while it was recorded.
     """
     writer = BagWriter(file)
     clock = [START]
@@ -264,10 +270,12 @@ def write_run(
     record = {
         "version": "9.9",
         "topics": json.dumps(counts),
-        "parameters.controller": yaml.safe_dump(
-            {"law": "consistent", "estimator": "observer", **flat}
-        ),
+        "parameter_changes": json.dumps(changes),
     }
+    nodes = parameters or {"controller": {"law": "consistent", "estimator": "observer"}}
+    for node, values in nodes.items():
+        own = {**values, **flat} if node == "controller" else dict(values)
+        record[f"parameters.{node}"] = yaml.safe_dump(own)
     writer.add_metadata("dextar", record)
     put("/trajectory", _served(np.arange(TICKS) * 1e-3))
     for tick in range(TICKS):

@@ -168,21 +168,25 @@ def test_other_plans_and_robots_are_remarked(good: Run) -> None:
 
 def test_what_differs_is_listed_and_names_the_runs(good: Run) -> None:
     metrics = compute_metrics(good)
-    own = {**good.parameters["controller"], "zone": 0.25, "robot.left.distal_mass": 0.1}
+    own = {
+        **good.parameters["controller"],
+        "near_locus.fade_abs_s": 0.25,
+        "robot.left.distal_mass": 0.1,
+    }
     other = dataclasses.replace(good, parameters={"controller": own})
     found = compare_runs(
         [good, other],
         [metrics, dataclasses.replace(metrics, reasons=["too far"], success=False)],
     )
     assert [one.name for one in found.differences] == [
-        "controller.zone",
+        "controller.near_locus.fade_abs_s",
         "robot.left.distal_mass",
         "bag",
     ]
     assert found.differences[0].values == ["–", "0.25"]
     assert found.names == [
-        "consistent / observer, zone –",
-        "consistent / observer, zone 0.25",
+        "consistent / observer, near_locus.fade_abs_s –",
+        "consistent / observer, near_locus.fade_abs_s 0.25",
     ]
     page = render_comparison(found)
     assert (
@@ -191,7 +195,7 @@ def test_what_differs_is_listed_and_names_the_runs(good: Run) -> None:
         < page.index("robot.left.distal_mass")
         < page.index("matters")
     )
-    assert "| controller.zone | – | 0.25 |" in found.to_markdown()
+    assert "| controller.near_locus.fade_abs_s | – | 0.25 |" in found.to_markdown()
 
 
 def test_what_differs_most_stands_first_and_what_is_of_the_machine_apart(

@@ -21,6 +21,7 @@ from dextar_control.analysis.run import Control, CriterionRecord, Joints, Run
 from dextar_control.analysis.timing import measure_timing
 from dextar_control.analysis.tracking import tracked
 from dextar_control.cli import main as cli
+from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import WITHOUT_LAW
@@ -28,6 +29,7 @@ from dextar_control.planning.planner import plan_return_trip
 from dextar_sim.rig import Rig
 
 START, GOAL = np.array([0.0, 0.105]), np.array([0.0, 0.06])
+CHANGES = {"trajectory.max_residual": 1.0}  # N
 PUSH, PUSHED = 1.0, (0.34, 0.36)  # N along y, s
 
 
@@ -37,7 +39,7 @@ def driven() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
     """
     body = robot()
     plan = plan_return_trip(body, START, GOAL, 0.33, 0.2)
-    settings = default_settings(max_residual=1.0)
+    settings = default_settings(**CHANGES)
     loop = ControlLoop(body, settings, 1)
     rig = Rig(body, plant="cartesian", seed=0, encoder_resolution=131072)
     place = loop.model.place(START)
@@ -102,7 +104,7 @@ def driven() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
         of("estimate", "b"),
         of("estimate", "d"),
     )
-    parameters = vars(settings) | {"law": "consistent", "estimator": "observer"}
+    parameters = node_defaults("controller") | CHANGES
     run = Run(
         Path("run.mcap"),
         states,
@@ -139,7 +141,7 @@ def test_the_watches_are_those_that_the_controller_had() -> None:
             max(share, 0.0), rel=1e-6, abs=1e-9
         ), name
     assert found["saturation"].lasted == pytest.approx(longest, abs=1e-6)
-    assert found["saturation"].allowed == default_settings().watch_time
+    assert found["saturation"].allowed == default_settings().torque_limit.time
     shares = [min(margin.share, 1.0) for margin in margins.limits]
     assert shares == sorted(shares, reverse=True)
     assert margins.innovation is not None and margins.innovation.square > 0.0

@@ -119,7 +119,10 @@ def test_the_big_campaign_is_as_large_as_the_claims() -> None:
         ),
         ({"settings": {"law": 0.0}}, "unknown setting 'law'"),
         ({"settings": {"assembly_mode": -1.0}}, "unknown setting 'assembly_mode'"),
-        ({"settings": {"zone": "wide"}}, "settings.zone: 'wide' is not valid"),
+        (
+            {"settings": {"near_locus.fade_abs_s": "wide"}},
+            "settings.near_locus.fade_abs_s: 'wide' is not valid",
+        ),
         (
             {"cases__bounced__estimators": ["dgn"]},
             "case bounced: unknown estimator 'dgn'",

@@ -117,7 +117,7 @@ def test_keys_are_of_the_content_and_of_all_of_it(
         "duration": 1.0,
         "dwell": 0.1,
         "repeat": 9,
-        "settings": {"zone": 0.2},
+        "settings": {"near_locus.fade_abs_s": 0.2},
     }
     assert changes.keys() == Trial.__dataclass_fields__.keys()
     for name, value in changes.items():

@@ -8,7 +8,7 @@ import importlib
 import math
 import re
 from array import array
-from dataclasses import fields
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
+from dextar_control.contract.controller_parameters import CONTROLLER
 from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
+from dextar_control.contract.node_parameters import PARAMETERS
 from dextar_control.contract.parameters import Parameter, check_value
 from dextar_control.contract.resources import (
     NODES_FILE,
@@ -37,8 +39,7 @@ from dextar_control.contract.robot import (
 from dextar_control.contract.settings import (
     ESTIMATORS,
     LAWS,
-    SETTINGS,
-    Settings,
+    SETTING_NAMES,
     default_settings,
 )
 from dextar_control.contract.topics import (
@@ -62,25 +63,8 @@ from dextar_control.estimation import estimator
 from dextar_control.nodekit.cdr import from_time, to_time
 from dextar_control.nodekit.layouts import template
 from dextar_control.nodekit.node import qos
-from dextar_control.nodes import (
-    controller,
-    markers,
-    messages,
-    panel,
-    recorder,
-    trajectory_server,
-)
+from dextar_control.nodes import messages
 from dextar_control.planning.planner import Plan
-from dextar_sim import parameters as plant_parameters
-
-SPECS = {
-    "controller": controller.PARAMETERS,
-    "trajectory_server": trajectory_server.PARAMETERS,
-    "recorder": recorder.SPECS,
-    "plant": plant_parameters.PARAMETERS,
-    "markers": markers.PARAMETERS,
-    "panel": panel.PARAMETERS,
-}
 
 
 def test_both_robot_files_load_and_come_back(robot: RobotParameters) -> None:
@@ -169,17 +153,28 @@ def test_a_file_that_is_no_robot_is_refused(tmp_path: Path) -> None:
         load_robot(tmp_path / "other.yaml")
 
 
-@pytest.mark.parametrize("node", SPECS)
+def dotted(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The leaves of nested mappings by dotted name."""
+    found: dict[str, Any] = {}
+    for name, value in tree.items():
+        whole = f"{prefix}{name}"
+        found |= (
+            dotted(value, f"{whole}.") if isinstance(value, dict) else {whole: value}
+        )
+    return found
+
+
+@pytest.mark.parametrize("node", PARAMETERS)
 def test_every_parameter_has_one_default_and_every_default_a_parameter(
     node: str,
 ) -> None:
     own = yaml.safe_load(config_file(NODES_FILE).read_text())[f"/**/{node}"][
         "ros__parameters"
     ]
-    names = {spec.name for spec in SPECS[node]}
-    assert names >= set(own)
+    names = {spec.name for spec in PARAMETERS[node]}
+    assert names >= set(dotted(own))
     defaults = node_defaults(node)
-    for spec in SPECS[node]:
+    for spec in PARAMETERS[node]:
         assert (
             check_value(spec, defaults[spec.name], defaults[spec.name])
             == defaults[spec.name]
@@ -188,7 +183,7 @@ def test_every_parameter_has_one_default_and_every_default_a_parameter(
 
 def test_each_parameter_is_described_by_a_short_sentence_of_its_own() -> None:
     described = {
-        (spec.name, spec.description) for specs in SPECS.values() for spec in specs
+        (spec.name, spec.description) for specs in PARAMETERS.values() for spec in specs
     } | set(ROBOT_KEYS.items())
     for name, text in described:
         assert (
@@ -215,7 +210,7 @@ def test_each_topic_and_service_is_described_in_sentences(
     )
 
 
-@pytest.mark.parametrize("node", SPECS)
+@pytest.mark.parametrize("node", PARAMETERS)
 def test_the_file_of_defaults_tells_each_parameters_unit(node: str) -> None:
     section = (
         config_file(NODES_FILE)
@@ -223,18 +218,26 @@ def test_the_file_of_defaults_tells_each_parameters_unit(node: str) -> None:
         .partition(f"/**/{node}:")[2]
         .partition("\n/**")[0]
     )
-    told = dict(re.findall(r"^    (\S+): [^#\n]*?(?: # (.*))?$", section, re.MULTILINE))
+    told, group = {}, ""
+    for indent, name, value, unit in re.findall(
+        r"^( {4,6})(\w+):([^#\n]*?)(?: # (.*))?$", section, re.MULTILINE
+    ):
+        if not value.strip():
+            group = f"{name}."
+            continue
+        told[f"{group if len(indent) > 4 else ''}{name}"] = unit
     assert told == {
         spec.name: spec.unit.removesuffix("1")
-        for spec in SPECS[node]
+        for spec in PARAMETERS[node]
         if spec.name in told
     }
 
 
 def test_each_setting_of_the_loop_is_a_described_parameter() -> None:
-    assert sorted(spec.name for spec in SETTINGS) == sorted(
-        field.name for field in fields(Settings)
-    )
+    described = {spec.name: spec for spec in CONTROLLER}
+    for name in SETTING_NAMES:
+        value = attrgetter(name)(default_settings())
+        assert described[name].live == isinstance(value, float)
 
 
 @pytest.mark.parametrize(
@@ -307,7 +310,9 @@ def test_the_table_says_what_the_nodes_offer_and_enforce(topic: Topic) -> None:
     assert (profile.reliability.name == "RELIABLE") == topic.reliable
     assert (profile.durability.name == "TRANSIENT_LOCAL") == topic.latched
     assert profile.depth == topic.depth
-    parameters = {node: {spec.name for spec in specs} for node, specs in SPECS.items()}
+    parameters = {
+        node: {spec.name for spec in specs} for node, specs in PARAMETERS.items()
+    }
     for limit in topic.timeouts:
         assert limit.parameter in parameters[limit.node]
         assert node_defaults(limit.node)[limit.parameter] > 0.0
@@ -320,7 +325,7 @@ def test_streams_come_at_the_rate_of_the_samples() -> None:
         rates = (
             drawing,
             5.0,
-            node_defaults("plant")["clock_rate"],
+            node_defaults("plant")["simulation.clock_rate"],
             1.0 / node_defaults("plant")["task.sample_period"],
         )
         assert topic.rate in rates, topic.name
@@ -505,6 +510,7 @@ def test_what_a_description_may_leave_out_is_checked_where_it_is_said(
 
 def test_a_misspelt_setting_is_named() -> None:
     with pytest.raises(
-        ParameterError, match="unknown setting 'watch_torqe'; watch_torque is one"
+        ParameterError,
+        match="unknown setting 'watch_torqe'; did you mean 'torque_limit.min_torque'?",
     ):
         default_settings(watch_torqe=10.0)

@@ -18,8 +18,6 @@ SHAPE = re.compile(r"\((?:[\w.+*]{1,7},)(?: [\w.+*]{1,7},?)*\)")
 UNIT = re.compile(
     r"(?<![\w.|])(?:rad|m|mm|s|ms|ns|kg|N|J|W|Hz|px|points|counts?|units?)(?![\w(])|, 1\b"
 )
-# files whose docstrings still lack some: the list only gets shorter
-UNFINISHED = {}
 WITHOUT_UNIT = re.compile(r"NDArray\[np\.(?:bool_|intp)\]")
 SOURCES = {
     path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
@@ -66,13 +64,7 @@ def untold(text: str) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize(
-    "file",
-    [
-        pytest.param(file, marks=[pytest.mark.xfail] if file in UNFINISHED else [])
-        for file in SOURCES
-    ],
-)
+@pytest.mark.parametrize("file", SOURCES)
 def test_arrays_have_their_shapes_and_units_told(file: str) -> None:
     missing = untold(SOURCES[file])
     assert not missing, f"{file}:\n" + "\n".join(missing)

@@ -147,14 +147,14 @@ def test_a_parameter_file_that_no_node_can_read_is_refused_before_they_start(
             "controller: unknown parameter 'lwa' for node controller",
         ),
         (
-            "    substeps: 4",
-            "    substepz: 4",
-            "plant: unknown parameter 'substepz' for node plant",
+            "      substeps: 4",
+            "      substepz: 4",
+            "plant: unknown parameter 'simulation.substepz' for node plant",
         ),
         (
-            "    repeat: 1",
-            "    repeat: 0",
-            "trajectory_server: parameter 'repeat' = 0; it must be >= 1",
+            "      repeat: 1",
+            "      repeat: 0",
+            "trajectory_server: parameter 'task.repeat' = 0; it must be >= 1",
         ),
         (
             "    law: consistent",
@@ -286,7 +286,7 @@ def test_the_identification_is_launched_as_a_crossing_is_with_an_exciting_motion
     (told,) = re.findall(r'EXCITE = "(\d+)"', text)
     assert changes(read(PLAIN | {"excite": told}))["trajectory_server"] == {
         "autostart": True,
-        "excite": float(told),
+        "task.excite": float(told),
     }
 
 
@@ -309,7 +309,7 @@ def test_only_what_was_given_overrides_the_parameter_files(
     assert nodes["plant"] == {
         "mode": "realtime",
         "window": False,
-        "real_time_factor": 0.5,
+        "simulation.real_time_factor": 0.5,
     }
     assert nodes["controller"] == {"lockstep": False, "autostart": True}
     given = {
@@ -334,9 +334,9 @@ def test_only_what_was_given_overrides_the_parameter_files(
     }  # a rig's
     assert nodes["trajectory_server"] == {
         "autostart": True,
-        "tour": 6,
-        "duration": 2.0,
-        "criterion": "zero_wrench",
+        "task.tour": 6,
+        "task.duration": 2.0,
+        "task.criterion": "zero_wrench",
     }
     output = nodes["recorder"]["output"]
     assert (output.given, output.named) == (("a: b #1.mcap",), {"value_type": str})

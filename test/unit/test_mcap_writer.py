@@ -15,6 +15,7 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from patience import PATIENCE
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -48,7 +49,6 @@ from dextar_control.contract.topics import TOPICS
 from dextar_control.nodekit.loss_count import UNSUPPORTED, LossCount
 from dextar_control.nodekit.qos_profiles import describe
 
-PATIENCE = 30.0  # s, on a busy machine; not a measurement
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
 

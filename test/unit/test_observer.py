@@ -39,8 +39,8 @@ RUNS, SAMPLES = 24, 200
 # in thousands
 LEVEL = 1e-4
 LINEAR = {
-    "bias_deviation": 1e-3,
-    "disturbance_deviation": 5e-3,
+    "observer.bias_deviation": 1e-3,
+    "observer.disturbance_deviation": 5e-3,
 }  # where what the covariance leaves out of the motion is small
 RECOVERY = 0.02  # s after a blow
 SMALL = 0.1e-3  # m
@@ -297,7 +297,7 @@ def nominal(request: pytest.FixtureRequest, robot: RobotParameters, trip: Plan) 
 
 
 def test_a_crossing_is_known_for_one(nominal: Run) -> None:
-    sure = nominal.loop.settings.verdict_confidence
+    sure = nominal.loop.settings.mode_check.confidence
     assert nominal.loop.phase is Phase.HOLD
     assert [passed.verdict for passed in nominal.loop.passed] == [Verdict.CROSSED] * 2
     assert all(passed.confidence >= sure for passed in nominal.loop.passed)
@@ -329,7 +329,7 @@ def test_a_friction_that_nobody_modelled_makes_it_unsure_not_wrong(
     run = drive(robot, trip, built, plant="cartesian")
     assert Verdict.BOUNCED not in [passed.verdict for passed in run.loop.passed]
     wrong = (run.mode != run.side) & (
-        run.confidence >= run.loop.settings.verdict_confidence
+        run.confidence >= run.loop.settings.mode_check.confidence
     )
     assert not wrong.any()
 
@@ -385,5 +385,5 @@ def test_a_blow_away_from_the_locus_is_followed(
     assert run.estimate_error[after].max() < HIDDEN
     assert not (
         (run.mode != run.side)
-        & (run.confidence >= run.loop.settings.verdict_confidence)
+        & (run.confidence >= run.loop.settings.mode_check.confidence)
     ).any()

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from patience import PATIENCE
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
@@ -24,7 +25,6 @@ from dextar_control.panel.server import PanelServer, to_json
 from dextar_control.panel.words import shown_margins, trouble_and_remedy
 
 MOST_BYTES = 300_000  # of the page
-PATIENCE = 30.0  # s
 
 
 class Robot:

@@ -44,34 +44,34 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     [
         (
             ("--duration", "-1"),
-            "trajectory_server: parameter 'duration' = -1.0; it must be >= 0",
+            "trajectory_server: parameter 'task.duration' = -1.0; it must be >= 0",
         ),
         (
             ("--duration", "nan"),
-            "trajectory_server: parameter 'duration' = nan; it must be finite",
+            "trajectory_server: parameter 'task.duration' = nan; it must be finite",
         ),
         (
             ("--duration", "0.001"),
-            "trajectory_server: duration = 0.001 s; it must be 0 or >= 0.02",
+            "trajectory_server: task.duration = 0.001 s; it must be 0 or >= 0.02",
         ),
         (
             ("--repeat", "0"),
-            "trajectory_server: parameter 'repeat' = 0; it must be >= 1",
+            "trajectory_server: parameter 'task.repeat' = 0; it must be >= 1",
         ),
         (
             ("--tour", "-1001"),
-            "trajectory_server: parameter 'tour' = -1001; it must be >= -1000",
+            "trajectory_server: parameter 'task.tour' = -1001; it must be >= -1000",
         ),
         (
             ("--tour", "1001"),
-            "trajectory_server: parameter 'tour' = 1001; it must be <= 1000",
+            "trajectory_server: parameter 'task.tour' = 1001; it must be <= 1000",
         ),
         (
-            ("-p", "trajectory_server.dwell:=0"),
-            "trajectory_server: parameter 'dwell' = 0; it must be >= 0.01",
+            ("-p", "trajectory_server.task.dwell:=0"),
+            "trajectory_server: parameter 'task.dwell' = 0; it must be >= 0.01",
         ),
         (
-            ("--tour", "2", "-p", "trajectory_server.point:=[0.0, 0.08]"),
+            ("--tour", "2", "-p", "trajectory_server.task.point:=[0.0, 0.08]"),
             "are given; one may be",
         ),
         (
@@ -83,8 +83,8 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
             "plant: unknown parameter 'substepz' for node plant",
         ),
         (
-            ("-p", "plant.substeps:=many"),
-            "plant: parameter 'substeps' = 'many'; it must be a number",
+            ("-p", "plant.simulation.substeps:=many"),
+            "plant: parameter 'simulation.substeps' = 'many'; it must be a number",
         ),
         (
             ("-p", "trajectory_server.task.start:=[0.5, 0.5]"),
@@ -95,8 +95,8 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
             "the simulated robot cannot stand where its encoders read",
         ),
         (
-            ("-p", "recorder.compression:=rar"),
-            "recorder: parameter 'compression' = 'rar'; it must be one of",
+            ("-p", "recorder.bag.compression:=rar"),
+            "recorder: parameter 'bag.compression' = 'rar'; it must be one of",
         ),
     ],
 )

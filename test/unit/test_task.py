@@ -23,7 +23,8 @@ STRETCHED = (
 
 
 def _values(**changes: object) -> dict[str, object]:
-    return node_defaults("trajectory_server") | changes
+    asked = {f"task.{name}": value for name, value in changes.items()}
+    return node_defaults("trajectory_server") | asked
 
 
 @pytest.mark.parametrize(
@@ -31,22 +32,22 @@ def _values(**changes: object) -> dict[str, object]:
     [
         (
             {"tour": 3, "point": [0.0, 0.08]},
-            r"point = \[0.0, 0.08\] and tour = 3 are given; one may be",
+            r"task.point = \[0.0, 0.08\] and task.tour = 3 are given; one may be",
         ),
         (
             {"tour": 3, "tour_points": [0.0, 0.08]},
-            r"tour = 3 and tour_points = \[0.0, 0.08\] are given; one may be",
+            r"task.tour = 3 and task.tour_points = \[0.0, 0.08\] are given; one may be",
         ),
         (
             {"tour": 3, "excite": 10.0},
-            r"tour = 3 and excite = 10.0 are given; one may be",
+            r"task.tour = 3 and task.excite = 10.0 are given; one may be",
         ),
-        ({"direction": 1}, "direction = 1 is given without a point; it must be 0"),
+        ({"direction": 1}, "task.direction = 1 is given without a point; it must be 0"),
         (
             {"tour_points": [0.0, 0.08, 0.1]},
-            "tour_points has 3 numbers; it must be pairs of x and y",
+            "task.tour_points has 3 numbers; it must be pairs of x and y",
         ),
-        ({"duration": 0.01}, "duration = 0.01 s; it must be 0 or >= 0.02"),
+        ({"duration": 0.01}, "task.duration = 0.01 s; it must be 0 or >= 0.02"),
     ],
 )
 def test_contradictions_are_refused_in_one_sentence(
@@ -99,7 +100,7 @@ def test_a_tour_of_given_points_begins_in_a(robot: RobotParameters) -> None:
     )
     task = Task.from_values(values)
     assert (task.duration, task.criterion) == (None, CrossingCriterion.ZERO_WRENCH)
-    plan = Task.from_values(values | {"criterion": "reciprocal"}).plan(robot)
+    plan = Task.from_values(values | {"task.criterion": "reciprocal"}).plan(robot)
     np.testing.assert_allclose(plan.trajectory.at(0.0).x, values["task.start"])
     assert len(plan.certificate.crossings) == 2
 
@@ -114,9 +115,9 @@ def test_a_robot_on_the_other_side_of_the_locus_is_told_what_to_do_and_that_work
         match=r"no way around was found: let the trip begin where the robot stands",
     ):
         plan_from(robot, np.array(across), trip, speed=0.2)
-    home = Task.from_values(
-        _values(**{"task.start": across, "task.goal": _values()["task.start"]})
-    ).plan(robot)
+    home = Task.from_values(_values(start=across, goal=_values()["task.start"])).plan(
+        robot
+    )
     assert plan_from(
         robot, np.array(across), home, speed=0.2
     ).certificate.crossing_signs.tolist() == [1, -1]

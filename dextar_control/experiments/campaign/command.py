@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from dextar_control.contract.terminal import Terminal
+from dextar_control.contract.terminal import Terminal, spoken_warnings
 from dextar_control.experiments.campaign.config import load_config
 from dextar_control.experiments.campaign.outcome import EXIT_FAILED, PAGE_FILE
 from dextar_control.experiments.campaign.rerun import rerun
@@ -31,8 +31,10 @@ def run_command(
             used.
     """
     console = Terminal()
+    with spoken_warnings("campaign"):
+        config = load_config(arguments.config)
     config = select(
-        load_config(arguments.config),
+        config,
         seed=arguments.seed,
         points=arguments.points,
         cases=names(arguments.cases),

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Mapping
-from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from pydantic import (
     Field,
@@ -15,8 +15,12 @@ from pydantic import (
     model_validator,
 )
 
-from dextar_control.contract.settings import Settings
-from dextar_control.contract.validation import Section, load_yaml, problem, unknown
+from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.former_names import present_names, renamed_in_words
+from dextar_control.contract.parameters import nearest_in_words
+from dextar_control.contract.settings import SETTINGS
+from dextar_control.contract.validation import Section, problem, unknown, validate
+from dextar_control.contract.yaml_text import load_document
 from dextar_control.experiments.campaign.ranges import BARS, PERTURBATIONS, Range
 
 Item = TypeVar("Item")
@@ -201,15 +205,13 @@ class CampaignConfig(Section):
             for combination in self.combinations
         ]
         sections += [(f"case {name}: ", case) for name, case in self.cases.items()]
-        settings = [
-            field.name
-            for field in fields(Settings)
-            if field.name not in ("law", "estimator")
-        ]
+        settings = {spec.name: spec for spec in SETTINGS if not spec.choices}
         for where, section in sections:
             _within(section.perturbation, PERTURBATIONS, "perturbation", where)
             for key in section.settings:
-                _known(key, settings, "setting", where)
+                if key not in settings:
+                    near = nearest_in_words(key, [*settings.values()])
+                    raise problem(f"{where}unknown setting '{key}'{near}")
         laws = list(dict.fromkeys(combination.law for combination in self.combinations))
         estimators = list(
             dict.fromkeys(combination.estimator for combination in self.combinations)
@@ -244,7 +246,32 @@ def load_config(path: str | Path) -> CampaignConfig:
         ParameterError: the file cannot be read, or something in it is unknown, missing
             or out of its range.
     """
-    return load_yaml(CampaignConfig, path, "campaign file")
+    document, source = load_document(path, "campaign file"), f"campaign file {path}"
+    try:
+        renamed = _take_present_names(document)
+    except ParameterError as error:
+        raise ParameterError(f"{source}: {error}") from error
+    if renamed:
+        warnings.warn(f"{source}: {renamed_in_words(renamed)}", stacklevel=2)
+    return validate(CampaignConfig, document, source)
+
+
+def _take_present_names(part: Any) -> dict[str, str]:
+    """Put present names for former ones in all mappings ``settings`` of a document;
+    those that were given, with the present ones.
+    """
+    renamed: dict[str, str] = {}
+    if isinstance(part, list):
+        for item in part:
+            renamed |= _take_present_names(item)
+    if isinstance(part, dict):
+        for key, value in part.items():
+            if key == "settings" and isinstance(value, dict):
+                part[key], found = present_names(SETTINGS, value)
+                renamed |= found
+            else:
+                renamed |= _take_present_names(value)
+    return renamed
 
 
 def _within(

@@ -51,11 +51,15 @@ END_PATIENCE = 20.0  # s until a node that was sent SIGTERM has ended
 SECOND_TORQUE = (0.05, -0.05)  # N m, of the second commander
 SECOND_LASTS = 0.5  # s
 MOST_PENDING = 40  # services asked and not answered
+UNCOMPRESSED = {"bag.compression": "none"}  # what the full disk is reached by sooner
 # that are set live
-GAINS = {"natural_frequency": (45.0, 55.0), "damping_ratio": (0.9, 1.1)}
+GAINS = {
+    "feedback.natural_frequency": (45.0, 55.0),
+    "feedback.damping_ratio": (0.9, 1.1),
+}
 REFUSED = (
-    {"natural_frequency": 1e9},
-    {"damping_ratio": -1.0},
+    {"feedback.natural_frequency": 1e9},
+    {"feedback.damping_ratio": -1.0},
     {"assembly_mode": -1},
     {"task__sample_period": 0.002},
 )
@@ -325,7 +329,7 @@ class FloodAction(Action):
             (monitor.client(SetBool, "controller/enable"), SetBool.Request(data=True)),
             (
                 monitor.client(GetParameters, "controller/get_parameters"),
-                GetParameters.Request(names=["law", "zone"]),
+                GetParameters.Request(names=["law", "near_locus.fade_abs_s"]),
             ),
             (
                 monitor.client(SetParameters, "controller/set_parameters"),
@@ -338,7 +342,7 @@ class FloodAction(Action):
             ),
             (
                 monitor.client(GetParameters, "trajectory_server/get_parameters"),
-                GetParameters.Request(names=["repeat"]),
+                GetParameters.Request(names=["task.repeat"]),
             ),
         ]
         if not monitor.until(
@@ -473,10 +477,12 @@ class DiskAction(Action):
                 str(disk),
                 str(self._bag),
             ]
-            stack.start_recorder(wrap=wrap, path=disk / "run.mcap", compression="none")
+            stack.start_recorder(
+                wrap=wrap, path=disk / "run.mcap", parameters=UNCOMPRESSED
+            )
         else:
             limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, size))
-            stack.start_recorder(path=self._bag, limit=limit, compression="none")
+            stack.start_recorder(path=self._bag, limit=limit, parameters=UNCOMPRESSED)
         stack.processes.may_end("recorder")
         if not stack.monitor.until(
             lambda: (

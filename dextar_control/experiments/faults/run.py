@@ -422,5 +422,5 @@ def _write(folder: Path, summary: Summary, config: FaultConfig, seed: int) -> No
         dump_document(config.model_dump()), encoding="utf-8"
     )
     if summary.rows():
-        timeout = float(node_defaults("plant")["command_timeout"])
+        timeout = float(node_defaults("plant")["drive.command_timeout"])
         draw(summary, timeout).savefig(folder / "faults.png", dpi=RESOLUTION)

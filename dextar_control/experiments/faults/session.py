@@ -109,7 +109,7 @@ class Session(Stack):
         super().__init__(request)
         self.robot = load_robot(config_file(ROBOT_FILE))
         self.period = round(node_defaults("plant")["task.sample_period"] * NANOSECONDS)
-        self.gap_limit = float(node_defaults("controller")["state_timeout"])
+        self.gap_limit = float(node_defaults("controller")["joint_states.timeout"])
         self.random = random.Random(request.seed)
         self._last_reason = ""
         self._plans: dict[int, Plan] = {}

@@ -5,7 +5,7 @@ to recover the robot.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -90,16 +90,16 @@ class Stack:
         values = {
             "plant": [
                 assignment("mode", self.request.clock),
-                assignment("real_time_factor", 0.0),
-                assignment("start_paused", True),
+                assignment("simulation.real_time_factor", 0.0),
+                assignment("simulation.start_paused", True),
                 *self.request.plant,
             ],
             "controller": [assignment("lockstep", self.lockstep)],
             "trajectory_server": [
-                assignment("duration", trip.duration),
-                assignment("dwell", trip.dwell),
+                assignment("task.duration", trip.duration),
+                assignment("task.dwell", trip.dwell),
             ],
-            "recorder": [assignment("reliable", self.lockstep)],
+            "recorder": [assignment("topics.reliable", self.lockstep)],
         }
         remapped = {"plant": REMAPPINGS} if self.request.injector else {}
         return {
@@ -129,13 +129,13 @@ class Stack:
         wrap: Sequence[str] = (),
         path: Path | None = None,
         limit: Callable[[], None] | None = None,
-        **more: str,
+        parameters: Mapping[str, str] | None = None,
     ) -> Path:
         """Start the recorder; return the path of its bag."""
         path = path or self.bag()
         extra = [
             part
-            for item in {"output": path, **more}.items()
+            for item in {"output": path, **(parameters or {})}.items()
             for part in ("-p", f"recorder:{assignment(*item)}")
         ]
         arguments = [*self._arguments["recorder"], *extra]

@@ -260,11 +260,12 @@
   const field = (id) => $(id).valueAsNumber;
   function fill(values) {
     filled = true;
-    [["start", values["task.start"]], ["goal", values["task.goal"]], ["point", values.point]].forEach(([name, x]) => place(name, x));
-    $("duration").value = values.duration;
-    $("repeat").value = values.repeat;
-    $("kind").value = values.tour ? "tour" : values.point && values.point.length ? "point" : "trip";
-    if (values.tour) $("count").value = values.tour;
+    [["start", values["task.start"]], ["goal", values["task.goal"]], ["point", values["task.point"]]].forEach(([name, x]) => place(name, x));
+    $("duration").value = values["task.duration"];
+    $("repeat").value = values["task.repeat"];
+    const tour = values["task.tour"], point = values["task.point"];
+    $("kind").value = tour ? "tour" : point && point.length ? "point" : "trip";
+    if (tour) $("count").value = tour;
     kind();
   }
   function place(name, x) {
@@ -332,7 +333,7 @@
   // ---- parameters
   function fields() {
     const node = $("node").value, words = $("find").value.trim().toLowerCase();
-    const specs = setup.specs[node].filter((one) => one.live && !["name", "notes"].includes(one.name)
+    const specs = setup.specs[node].filter((one) => one.live && !["run.name", "run.notes"].includes(one.name)
       && `${one.name} ${one.description}`.toLowerCase().includes(words));
     $("parameters").replaceChildren(...specs.map((spec) => {
       const row = document.createElement("label"), name = document.createElement("b"), about = document.createElement("small");
