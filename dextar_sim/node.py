@@ -98,7 +98,7 @@ class PlantNode(DextarNode):
     PARAMETERS = PARAMETERS[NAME]
 
     def __init__(self, *, cli_args: list[str] | None = None) -> None:
-        # here: --help needs no physics
+        # imported here, since --help needs no physics
         from dextar_sim.disturbances import Disturbances
         from dextar_sim.effects import Effects
         from dextar_sim.plant import Plant, urdf_of

@@ -22,19 +22,19 @@ HOLD = 0.1  # s, after the trip
 def drive(
     robot: AnyRobot,
     plan: Plan,
-    plant: Plant | ExactPlant,
+    plant: ExactPlant | Plant,
     resolution: float = TURN,
     **settings: object,
 ) -> None:
     """Track a plan in a plain loop and print how the plant followed it."""
     start, side = plan.trajectory.at(0.0).x, np.sign(plan.certificate.profile.s[0])
-    plant.reset(start.tolist())
+    plant.reset(start)
     loop = ControlLoop(robot, default_settings(**settings), int(side), near=start)
     loop.accept(plan.trajectory)
     error = torque = 0.0  # the largest: m, N m
     while (state := plant.state()).time < plan.trajectory.duration + HOLD:
         tau = loop.step(state.time, np.round(state.q_a / resolution) * resolution)
-        plant.step(tau.tolist())
+        plant.step(tau)
         x_ref = plan.trajectory.at(state.time).x
         error = max(error, float(np.linalg.norm(x_ref - state.x)))
         torque = max(torque, float(np.abs(tau).max()))

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 from crossing import drive
 
-from dextar_control.mechanisms import mechanism as m
+from dextar_control.mechanisms.mechanism import Coordinate, Mechanism, Parameter, Values
 from dextar_control.model.exact_plant import ExactPlant
 from dextar_control.model.robot import Robot
 from dextar_control.planning.locus import nearest_point
@@ -17,38 +17,35 @@ NUMBERS = {"rails": [-0.1, 0.1], "bars": [0.2, 0.19], "bar_mass": 0.1, "tip_mass
 LIMITS = {"max_torque": 20.0, "max_joint_speed": 3.0, "max_platform_speed": 3.0}
 
 
-class Biglide(m.Mechanism):
+class Biglide(Mechanism):
     """Uniform bars from the sliders at (rails, q_a) to x, a point mass at each end."""
 
     name = "biglide"
-    joints = m.Coordinate("q1", "m"), m.Coordinate("q2", "m")
-    coordinates = m.Coordinate("x", "m"), m.Coordinate("y", "m")
+    joints = Coordinate("q1", "m"), Coordinate("q2", "m")
+    coordinates = Coordinate("x", "m"), Coordinate("y", "m")
     parameters = (
-        m.Parameter("rails", "m", "where they stand along x", size=2),
-        m.Parameter("bars", "m", "their lengths", above=0.0, size=2),
-        *(
-            m.Parameter(one, "kg", "of each", above=0.0)
-            for one in ("bar_mass", "tip_mass")
-        ),
+        Parameter("rails", "m", "where they stand along x", size=2),
+        Parameter("bars", "m", "their lengths", above=0.0, size=2),
+        *(Parameter(m, "kg", "of each", above=0.0) for m in ("bar_mass", "tip_mass")),
     )
 
-    def closures(self, q_a: S, x: S, p: m.Values) -> S:
+    def closures(self, q_a: S, x: S, p: Values) -> S:
         """Half of what the bars' squared lengths are off, m^2."""
         return 0.5 * ((x[0] - p.rails) ** 2 + (x[1] - q_a) ** 2 - p.bars**2)
 
-    def lagrangian(self, q_a: S, x: S, q_a_dot: S, x_dot: S, p: m.Values) -> S:
+    def lagrangian(self, q_a: S, x: S, q_a_dot: S, x_dot: S, p: Values) -> S:
         """Kinetic energy, J; that of a rod is m/6 (v1.v1 + v1.v2 + v2.v2)."""
         tips = ca.sumsqr(q_a_dot) + ca.sumsqr(x_dot)
         rods = tips + ca.sum1(q_a_dot) * x_dot[1] + ca.sumsqr(x_dot)
         return p.tip_mass / 2.0 * tips + p.bar_mass / 6.0 * rods
 
-    def nearest_joints(self, x: S, p: m.Values) -> tuple[S, S]:
+    def nearest_joints(self, x: S, p: Values) -> tuple[S, S]:
         """Ahead and behind by Pythagoras; the span across over each bar's length."""
         across = x[0] - p.rails
         along = ca.sqrt(ca.fmax(p.bars**2 - across**2, 1e-12))
         return x[1] + ca.vertcat(along[0], -along[1]), across / p.bars
 
-    def singularity_scale(self, p: m.Values) -> S:
+    def singularity_scale(self, p: Values) -> S:
         """For s to be the sine of the angle between the bars."""
         return p.bars[0] * p.bars[1]
 

@@ -29,7 +29,7 @@ from dextar_control.analysis.run import Run
 from dextar_control.analysis.web_figures import WebFigure, in_plane, over_time, run_tag
 from dextar_control.bags.damage import damage_lines
 from dextar_control.bags.scan import Progress
-from dextar_control.contract.errors import BagError
+from dextar_control.contract.errors import BagError, bag_errors
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.style import RUNS
 from dextar_control.contract.terminal import Terminal, title
@@ -321,7 +321,7 @@ def write_comparison(comparison: Comparison, folder: Path) -> None:
     Raises:
         BagError: they cannot be written.
     """
-    try:
+    with bag_errors(f"write the comparison to {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "comparison.json").write_text(
             comparison.to_json() + "\n", encoding="utf-8", errors="replace"
@@ -332,10 +332,6 @@ def write_comparison(comparison: Comparison, folder: Path) -> None:
         (folder / "comparison.html").write_text(
             render_comparison(comparison), encoding="utf-8", errors="replace"
         )
-    except OSError as error:
-        raise BagError(
-            f"cannot write the comparison to {folder}: {error.strerror or error}"
-        ) from error
 
 
 def render_comparison(comparison: Comparison) -> str:

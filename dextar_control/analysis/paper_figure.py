@@ -16,7 +16,7 @@ from dextar_control.analysis.drawing import PAPER, draw_panel, draw_plane
 from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.run import Run
-from dextar_control.contract.errors import BagError
+from dextar_control.contract.errors import bag_errors
 
 FORMATS = ("png", "svg", "pdf")
 COLUMN = 88.0  # mm, a column of a two-column page
@@ -109,10 +109,6 @@ def write_paper(
             dated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}[
                 file.suffix[1:]
             ]
-            try:
+            with bag_errors(f"write {file}"):
                 figure.savefig(file, dpi=RESOLUTION, metadata=dated)
-            except OSError as error:
-                raise BagError(
-                    f"cannot write {file}: {error.strerror or error}"
-                ) from error
     return files

@@ -16,7 +16,7 @@ from dextar_control.analysis.metrics import Metrics, saturated
 from dextar_control.analysis.registry import number
 from dextar_control.bags.damage import damage_lines
 from dextar_control.bags.scan import Progress
-from dextar_control.contract.errors import BagError
+from dextar_control.contract.errors import bag_errors
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.words import counted
 
@@ -65,7 +65,7 @@ def analyze(
     from dextar_control.analysis.paper_figure import COLUMN, write_paper
 
     folder = Path(output_dir) if output_dir is not None else run.path.parent
-    try:
+    with bag_errors(f"write the analysis to {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "metrics.json").write_text(
             metrics.to_json() + "\n", encoding="utf-8", errors="replace"
@@ -79,10 +79,6 @@ def analyze(
         if formats:
             progress("drawing the figure for a paper")
             write_paper(run, metrics, folder, list(formats), width or COLUMN)
-    except OSError as error:
-        raise BagError(
-            f"cannot write the analysis to {folder}: {error.strerror or error}"
-        ) from error
     return metrics
 
 

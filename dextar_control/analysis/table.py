@@ -21,7 +21,7 @@ from dextar_control.analysis.geometry import singularity_measure
 from dextar_control.analysis.run import Floats, Run, Stamps, seconds
 from dextar_control.analysis.timing import phase_name
 from dextar_control.analysis.tracking import tracked
-from dextar_control.contract.errors import BagError, ParameterError, lacking
+from dextar_control.contract.errors import ParameterError, bag_errors, lacking
 from dextar_control.contract.robot import JOINT_NAMES, flatten
 from dextar_control.contract.topics import PHASES
 from dextar_control.control.verdicts import Verdict
@@ -325,7 +325,7 @@ def export(
     check_formats(formats)
     tables = {"run": _states(run)} | (_topics(run) if topics else {})
     files = []
-    try:
+    with bag_errors(f"write to {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
         for name, table in tables.items():
             for kind in formats:
@@ -341,10 +341,6 @@ def export(
                 )
                 + "\n"
             )
-    except OSError as error:
-        raise BagError(
-            f"cannot write to {folder}: {error.strerror or error}"
-        ) from error
     return files
 
 

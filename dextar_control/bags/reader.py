@@ -31,7 +31,7 @@ from dextar_control.bags.scan import (
     Scan,
 )
 from dextar_control.bags.series import TYPES, Columns, Select, Series
-from dextar_control.contract.errors import BagError
+from dextar_control.contract.errors import BagError, bag_errors
 from dextar_control.contract.robot import JOINT_NAMES
 from dextar_control.contract.topics import JOINT_STATES, TOPICS, Topic
 from dextar_control.contract.words import counted
@@ -202,15 +202,13 @@ def read_bag(
             message of a known type.
     """
     path = Path(path)
-    try:
+    with bag_errors(f"read {path}"):
         files, listed = _files(path) if path.is_dir() else ([path], True)
         bag = Bag(files[0])
         with opened(files) as parts:
             _Filling(bag, columns or {}, select or {}).from_files(
                 parts, listed, progress
             )
-    except OSError as error:
-        raise BagError(f"cannot read {path}: {error.strerror or error}") from error
     if not any(len(series) for series in bag.messages.values()):
         raise BagError(
             f"{path} holds no ROS 2 message" + (f": {bag.damage}" if bag.damage else "")

@@ -40,7 +40,7 @@ from dextar_control.bags.scan import (
     Progress,
     Scan,
 )
-from dextar_control.contract.errors import BagError
+from dextar_control.contract.errors import BagError, bag_errors
 
 SUFFIX = "-recovered"
 # Of a QoS profile in rosbag2's order: a type, or the words for the numbers of rmw that
@@ -141,7 +141,7 @@ def recover(path: Path, progress: Callable[[Path], Progress] | None = None) -> R
     )
     if folder.exists():
         raise BagError(f"{path} was recovered before: {folder} is there")
-    try:
+    with bag_errors(f"read {path}"):
         files, _, fault = files_of(path) if path.is_dir() else BagFiles([path], [], "")
         with opened(files) as parts:
             for part in parts:
@@ -152,8 +152,6 @@ def recover(path: Path, progress: Callable[[Path], Progress] | None = None) -> R
                     )
             scans = [Scan(part.file, part.content) for part in parts]
             return _recover(path, scans, fault, folder, progress)
-    except OSError as error:
-        raise BagError(f"cannot read {path}: {error.strerror or error}") from error
 
 
 def _recover(
@@ -186,14 +184,11 @@ def _recover(
         raise BagError(f"{path} is whole: there is nothing to recover")
     working = folder.with_name(f".{folder.name}.{os.getpid()}")
     try:
-        working.mkdir()
-        result = _rebuild(scans, working, folder, progress)
-        result.metadata = fault
-        working.rename(folder)
-    except OSError as error:
-        raise BagError(
-            f"cannot recover {path} into {folder}: {error.strerror or error}"
-        ) from error
+        with bag_errors(f"recover {path} into {folder}"):
+            working.mkdir()
+            result = _rebuild(scans, working, folder, progress)
+            result.metadata = fault
+            working.rename(folder)
     finally:
         shutil.rmtree(working, ignore_errors=True)
     return result

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class DextarError(Exception):
     """Root of the package's errors; its text is one sentence that names the value and
@@ -62,3 +65,19 @@ def lacking(what: str, extra: str, error: ImportError) -> ParameterError:
         f"{what} needs the package {error.name or extra}, which cannot be imported:"
         f" {how} ({error})"
     )
+
+
+@contextmanager
+def bag_errors(doing: str) -> Iterator[None]:
+    """Turn what the operating system refuses into a sentence.
+
+    Args:
+        doing: what is done, such as ``write run.csv``.
+
+    Raises:
+        BagError: it cannot be done.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise BagError(f"cannot {doing}: {error.strerror or error}") from error

@@ -53,7 +53,7 @@ from dextar_control.estimation.transmission import LEAST_INERTIA
 from dextar_control.mechanisms.mechanism import Mechanism, Values
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.equations import Equations
-from dextar_control.model.model import equations_of
+from dextar_control.model.model import equations_on
 from dextar_control.symbols.functions import named
 from dextar_control.symbols.record import Field, Layout
 from dextar_control.symbols.singular import nearest, singular_vectors
@@ -93,8 +93,6 @@ class Asked(NamedTuple):
 
     Attributes:
         mechanism: whose law it is.
-        equations: of the mechanism, for any state; ``here`` and ``planned`` give them
-            at the states that a law needs.
         vector: the mechanism's parameters; p: the same by their dotted names.
         gains, ref, hat: by the names of ``GAINS``, of ``estimation.records.REFERENCE``
             and of ``estimation.records.ESTIMATE``.
@@ -104,7 +102,6 @@ class Asked(NamedTuple):
     """
 
     mechanism: Mechanism
-    equations: Equations
     vector: Symbol
     p: Values
     gains: dict[str, Symbol]
@@ -114,19 +111,19 @@ class Asked(NamedTuple):
     a: Symbol
 
     def here(self, x_ddot: Symbol) -> Equations:
-        """The equations at the estimated state with an acceleration (n,), m/s^2."""
-        return self._at(self.hat["x"], self.hat["x_dot"], x_ddot)
-
-    def planned(self, x_ddot: Symbol | None = None) -> Equations:
-        """The equations on the reference, with its own acceleration or another one
+        """Return the equations at the estimated state with an acceleration
         (n,), m/s^2.
         """
-        x_ddot = self.ref["x_ddot"] if x_ddot is None else x_ddot
-        return self._at(self.ref["x"], self.ref["x_dot"], x_ddot)
+        x, x_dot = self.hat["x"], self.hat["x_dot"]
+        return equations_on(self.mechanism, self.vector, x, x_dot, x_ddot)
 
-    def _at(self, x: Symbol, x_dot: Symbol, x_ddot: Symbol) -> Equations:
-        q_a = self.mechanism.inverse_geometric_model(x, self.p)
-        return self.equations.at(self.vector, q_a, x, x_dot, x_ddot)
+    def planned(self, x_ddot: Symbol | None = None) -> Equations:
+        """Return the equations on the reference, with its own acceleration or another
+        one (n,), m/s^2.
+        """
+        x, x_dot = self.ref["x"], self.ref["x_dot"]
+        x_ddot = self.ref["x_ddot"] if x_ddot is None else x_ddot
+        return equations_on(self.mechanism, self.vector, x, x_dot, x_ddot)
 
 
 class Answer(NamedTuple):
@@ -149,14 +146,14 @@ Law = Callable[[Asked], Answer]
 
 
 def classic(asked: Asked) -> Answer:
-    """The torque of Eq. (4) at the estimated state."""
+    """Return the torque of Eq. (4) at the estimated state."""
     e = asked.here(asked.u)
     return Answer(e.inverse_dynamics, e)  # Eq. 4
 
 
 def projected(asked: Asked) -> Answer:
-    """The paper's torque: within the band of a block the torque of least norm for the
-    projected wrench, else Eq. (4).
+    """Return the paper's torque: within the band of a block the torque of least norm
+    for the projected wrench, else Eq. (4).
     """
     e, band = asked.here(asked.u), asked.gains["zone"]
     J, inside = singular_vectors(e.J_inv), ca.fabs(e.s_blocks) <= band
@@ -171,8 +168,8 @@ def projected(asked: Asked) -> Answer:
 
 
 def consistent(asked: Asked) -> Answer:
-    """The torque with the weak multiplier from feedback and plan, at the estimated
-    state; each leg is kept from Type 1.
+    """Return the torque with the weak multiplier from feedback and plan, at the
+    estimated state; each leg is kept from Type 1.
     """
     x, x_dot = asked.hat["x"], asked.hat["x_dot"]
     u = within_reach(
@@ -182,8 +179,8 @@ def consistent(asked: Asked) -> Answer:
 
 
 def multi_model(asked: Asked) -> Answer:
-    """The torque of the paper's [10]: the reduced model tau = w_b in the joints within
-    the band, else Eq. (4).
+    """Return the torque of the paper's [10]: the reduced model tau = w_b in the joints
+    within the band, else Eq. (4).
     """
     e, planned = asked.here(asked.u), asked.planned()
     q_a_ddot, x_ddot = planned.q_a_ddot + asked.a, asked.ref["x_ddot"]
@@ -195,8 +192,8 @@ def multi_model(asked: Asked) -> Answer:
 
 
 def joint_space(asked: Asked) -> Answer:
-    """The torque of the joints' feedback as an acceleration of the platform, whose weak
-    part fades, with the multipliers of ``consistent``.
+    """Return the torque of the joints' feedback as an acceleration of the platform,
+    whose weak part fades, with the multipliers of ``consistent``.
     """
     planned = asked.planned()
     J, weight = singular_vectors(planned.J_inv), _feedback_share(asked, planned)
@@ -206,13 +203,13 @@ def joint_space(asked: Asked) -> Answer:
 
 
 def _feedback_share(asked: Asked, e: Equations) -> Symbol:
-    """phi (k,): 1 outside each block's zone, 0 inside."""
+    """Return phi (k,): 1 outside each block's zone, 0 inside."""
     zone, width = asked.gains["zone"], asked.gains["zone_width"]
     return smooth_step(ca.fabs(e.s_blocks), zone - 0.5 * width, zone + 0.5 * width)
 
 
 def _with_multipliers(asked: Asked, e: Equations) -> Answer:
-    """Torque at ``e`` with the weak multiplier from feedback and plan."""
+    """Return the torque at ``e`` with the weak multiplier from feedback and plan."""
     v, phi = e.singular, _feedback_share(asked, e)
     strong = v.u_strong @ ((v.v_strong.T @ e.w_d) / v.sigma_strong)
     planned = v.u_weak.T @ asked.ref["multipliers"]
@@ -235,8 +232,8 @@ def within_reach(
     u: Symbol,
     frequency: Symbol,
 ) -> Symbol:
-    """u (n,), m/s^2, changed as little as keeps each leg from Type 1: a control barrier
-    function.
+    """Return u (n,), m/s^2, changed as little as keeps each leg from Type 1: a control
+    barrier function.
 
     c, the squared sine of a leg's angle, has to obey c_ddot + 2 w c_dot + w^2 c >= 0. A
     leg of two links of 90 mm at a sine of 0.12 is a third of a millimetre from the end
@@ -262,8 +259,8 @@ def within_reach(
 
 
 def twist_damping(inertia: Symbol, stiffness: Symbol, dt: Symbol) -> Symbol:
-    """Damping (n,), N m s/rad, that the motors add to the twist: 0 where rigid, and
-    less where it swings too fast for the control period.
+    """Return the damping (n,), N m s/rad, that the motors add to the twist: 0 where
+    rigid, and less where it swings too fast for the control period.
 
     The feedback acts on the links through the motors and would excite a transmission
     that damps itself too little.
@@ -279,8 +276,8 @@ def twist_damping(inertia: Symbol, stiffness: Symbol, dt: Symbol) -> Symbol:
 
 
 def law_of(mechanism: Mechanism, name: str) -> ca.Function:
-    """The function of one tick of a law: (p, gains, reference, estimate, integral,
-    limit, dt) -> output, integral_next.
+    """Return the function of one tick of a law: (p, gains, reference, estimate,
+    integral, limit, dt) -> output, integral_next.
 
     Args:
         mechanism: whose law it is.
@@ -312,8 +309,7 @@ def law_of(mechanism: Mechanism, name: str) -> ca.Function:
     a = gains["K_p"] * wrapped(ref["q_a"] - hat["q_a"]) + gains["K_d"] * (
         ref["q_a_dot"] - hat["q_a_dot"]
     )
-    e = equations_of(mechanism)
-    asked = Asked(mechanism, e, vector, p, gains, ref, hat, u, a)
+    asked = Asked(mechanism, vector, p, gains, ref, hat, u, a)
     tau, e, weight = _answer(name, law, asked)
     tau = tau + gains["friction_compensation"] * mechanism.friction(ref["q_a_dot"], p)
     tau = tau - gains["disturbance_compensation"] * hat["d"]
@@ -356,7 +352,7 @@ def law_of(mechanism: Mechanism, name: str) -> ca.Function:
 
 
 def _answer(name: str, law: Law, asked: Asked) -> Answer:
-    """The answer of a law, which may be one's own.
+    """Return the answer of a law, which may be one's own.
 
     Raises:
         ParameterError: the law fails, or its answer has wrong shapes or types.

@@ -399,7 +399,7 @@ class ControlLoop:
             self._judge.close()
 
     def _standing(self) -> tuple[float, float]:
-        """(|s| by the joints alone, the larger joint speed, rad/s)."""
+        """Return (|s| by the joints alone, the larger joint speed, rad/s)."""
         q_a_dot, x = self._estimate.q_a_dot, self._estimate.x
         now = self._stop.braking(self._q_a, q_a_dot, x, 0.0, self.robot.max_torque)
         return now.s, now.speed
@@ -484,7 +484,7 @@ class ControlLoop:
     def step(
         self, time: float, q_a: Array, pose: ExternalPosition | None = None
     ) -> Array:
-        """The torques (n,), N m, that answer a sample of the active joints.
+        """Return the torques (n,), N m, that answer a sample of the active joints.
 
         Args:
             time: of the sample, s.
@@ -568,8 +568,8 @@ class ControlLoop:
         self.phase = Phase.TRACK if crossing else Phase.APPROACH
 
     def _limit_crossing(self, certificate: Certificate) -> float:
-        """The torque limit of a crossing trajectory, N m, which bounds a robot that
-        bounced before the verdict is given.
+        """Return the torque limit of a crossing trajectory, N m, which bounds a robot
+        that bounced before the verdict is given.
         """
         limit = self.settings.torque_limit
         planned = limit.peak_ratio * certificate.peak_torque
@@ -629,7 +629,9 @@ class ControlLoop:
             self._end_law(Phase.SAFE_STOP, side or problem, trusted=trusted)
 
     def _comes_to_rest(self) -> bool:
-        """Whether a robot that is braked from now on stops clear of the locus."""
+        """Return whether a robot that is braked from now on stops clear of
+        the locus.
+        """
         mode = self._estimate.assembly_mode if self.mode_known else 0.0
         return self._stop.comes_to_rest(self._estimate, mode, self._crossing_limit)
 

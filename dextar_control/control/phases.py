@@ -32,8 +32,8 @@ MOVING = (Phase.APPROACH, Phase.TRACK, Phase.CROSSING)
 
 @lru_cache
 def frame_of(n: int) -> dict[str, tuple[Slice, Layout]]:
-    """The places and layouts of reference, estimate and output in a ``Frame``, for n
-    degrees of freedom.
+    """Return the places and layouts of reference, estimate and output in a ``Frame``,
+    for n degrees of freedom.
     """
     places, start = {}, 0
     for name, fields in (
@@ -83,8 +83,8 @@ class Frame:
 
 
 def indices_of(n: int, *fields: str) -> NDArray[np.int64]:
-    """The indices (k,), 1, in a frame of these fields' numbers, each PART.NAME, in
-    this order.
+    """Return the indices (k,), 1, in a frame of these fields' numbers, each PART.NAME,
+    in this order.
     """
     every = np.arange(max(within.stop for within, _ in frame_of(n).values()))
     found = []
@@ -118,7 +118,6 @@ class Tick(Frame):
     tau = _field("output", "tau", "(n,) N m.")
     x_ref = _field("reference", "x", "(n,) m.")
     x_hat = _field("estimate", "x", "(n,) m.")
-    x_hat_dot = _field("estimate", "x_dot", "(n,) m/s.")
     error = _field("output", "error", "(n,) x_ref - x_hat, m.")
     s = _field("output", "s", "Singularity measure at the model's state.")
     residual = _field("output", "residual", "t_s.w_d that u asks for, N.")

@@ -12,7 +12,7 @@ import numpy as np
 from dextar_control.contract.errors import TrajectoryError
 from dextar_control.estimation.records import REFERENCE
 from dextar_control.mechanisms.mechanism import Mechanism
-from dextar_control.model.model import Model, equations_of
+from dextar_control.model.model import Model, equations_on
 from dextar_control.planning.trajectory import Trajectory
 from dextar_control.symbols.functions import Library, cache_folder, named
 from dextar_control.symbols.record import Field, Layout, Record
@@ -35,9 +35,11 @@ PAIR = (
 
 @lru_cache
 def references_of(mechanism: Mechanism) -> Library:
-    """The function ``refer``: (p, segment, pair, time) -> reference, s_blocks."""
+    """Return the function ``refer``: (p, segment, pair, time) -> reference,
+    s_blocks.
+    """
     n = mechanism.n
-    vector, p = mechanism.symbols()
+    vector, _ = mechanism.symbols()
     (segment_vector, segment), (pair_vector, pair) = (
         Layout(name, n, fields).symbols()
         for name, fields in (("segment", SEGMENT), ("pair", PAIR))
@@ -50,9 +52,7 @@ def references_of(mechanism: Mechanism) -> Library:
     x_ddot = ca.jacobian(x_dot, since)
     held = ca.fmin(ca.fmax(time, segment["first"]), segment["last"]) - segment["origin"]
     x, x_dot, x_ddot = ca.substitute([x, x_dot, x_ddot], [since], [held])
-    e = equations_of(mechanism).at(
-        vector, mechanism.inverse_geometric_model(x, p), x, x_dot
-    )
+    e = equations_on(mechanism, vector, x, x_dot)
     share = (time - pair["begin"]) / (pair["end"] - pair["begin"])
     share = ca.fmin(ca.fmax(share, 0.0), 1.0)
     found = {

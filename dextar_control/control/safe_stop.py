@@ -85,8 +85,8 @@ class Stopped(NamedTuple):
 
 @lru_cache
 def stops_of(mechanism: Mechanism) -> Library:
-    """The function ``stop``: (p, brake, q_a, q_a_dot, x_hat, mode, limit) -> the record
-    STOP of braking now.
+    """Return the function ``stop``: (p, brake, q_a, q_a_dot, x_hat, mode, limit) -> the
+    record STOP of braking now.
     """
     n = mechanism.n
     vector, p = mechanism.symbols()
@@ -152,7 +152,7 @@ def _rate(
     q_a_dot: Symbol,
     x_dot: Symbol,
 ) -> Symbol:
-    """The rate of s, 1/s."""
+    """Return the rate of s, 1/s."""
     e = equations_of(mechanism)
     rate = ca.jtimes(e.s, ca.vertcat(e.q_a, e.x), ca.vertcat(q_a_dot, x_dot))
     return ca.substitute([rate], [e.p, e.q_a, e.x], [p, q_a, x])[0]
@@ -215,7 +215,7 @@ class SafeStop:
     def braking(
         self, q_a: Array, q_a_dot: Array, x_hat: Array, mode: float, limit: float
     ) -> Record:
-        """The record STOP of braking now, which the next call overwrites.
+        """Return the record STOP of braking now, which the next call overwrites.
 
         Args:
             q_a, q_a_dot: filtered joints, (n,), rad, rad/s.
@@ -231,8 +231,8 @@ class SafeStop:
         return self._now
 
     def comes_to_rest(self, estimate: Record, mode: float, limit: float) -> bool:
-        """Whether a robot that brakes from now on comes to rest clear of the locus; for
-        the arguments see ``braking``.
+        """Return whether a robot that brakes from now on comes to rest clear of the
+        locus; for the arguments see ``braking``.
         """
         q_a, q_a_dot = estimate.q_a, estimate.q_a_dot
         return self._clear(self.braking(q_a, q_a_dot, estimate.x, mode, limit))

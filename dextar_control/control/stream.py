@@ -51,8 +51,8 @@ class StateStream:
         self._number = number
 
     def mixed(self, now: float) -> bool:
-        """Whether a state of another publisher, or of one that was started again, came
-        within the last ``MIXED`` before ``now``, s.
+        """Return whether a state of another publisher, or of one that was started
+        again, came within the last ``MIXED`` before ``now``, s.
         """
         return now - self._stepped_back <= MIXED
 
@@ -86,8 +86,8 @@ class StateStream:
         self._first = self._last = -1
 
     def healthy_for(self, limit: float, now: float | None = None) -> float:
-        """The healthy time, s; 0 where the last state is older than ``limit``, s, on
-        the steady clock ``now``, s.
+        """Return the healthy time, s; 0 where the last state is older than ``limit``,
+        s, on the steady clock ``now``, s.
         """
         if self._first < 0:
             return 0.0

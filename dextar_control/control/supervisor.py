@@ -148,6 +148,46 @@ WATCHES = (
         " it at each sample",
     ),
 )
+# by the watches' names; J is the joints' unit, T that of their torque
+SENTENCES = {
+    "joint_jump": (
+        "a joint jumped by {value:.4f} {J} in one sample; the limit is {limit:.4g} {J}"
+    ),
+    "finite": (
+        "the estimate or the law gave a number that is not finite; at the sample before"
+        " it a leg was {type1:.3f} from Type 1, where its reach ends (a plan keeps"
+        " {kept:g})"
+    ),
+    "tracking_error": "tracking error {value:.4f} m; the limit is {limit} m",
+    "joint_speed": (
+        "joint speed {value:.1f} {J}/s for {lasted:.0f} ms; the limit is {limit:.4g}"
+        " {J}/s for {time:.0f} ms"
+    ),
+    "platform_speed": (
+        "platform speed {value:.2f} m/s for {lasted:.0f} ms; the limit is {limit:.4g}"
+        " m/s for {time:.0f} ms"
+    ),
+    "joint_range": (
+        "the {side} joint is {value:.3f} {J} outside its range of {low:.4g} to"
+        " {high:.4g} {J}; the limit is {limit:.4g} {J}"
+    ),
+    "estimator": (
+        "the joints are {value:.4f} {J} from the estimate's for {lasted:.0f} ms; the"
+        " limit is {limit:.4g} {J} for {time:.0f} ms"
+    ),
+    "locus": (
+        "the robot is at |s| = {value:.3f} of the locus without a planned crossing; the"
+        " limit is {limit:.4g}"
+    ),
+    "saturation": (
+        "torque {value:.3f} {T} for {lasted:.0f} ms; the limit is {limit:.3f} {T} for"
+        " {time:.0f} ms"
+    ),
+    "torque_rate": (
+        "the torque changes by {value:.0f} {T}/s for {lasted:.0f} ms; the limit is"
+        " {limit:.4g} {T}/s for {time:.0f} ms"
+    ),
+}
 NAMES = [watch.name for watch in WATCHES]
 VALUES = tuple(Field(watch.name, watch.unit or "1", watch.value) for watch in WATCHES)
 BOUNDS = (
@@ -168,8 +208,8 @@ ESTIMATE_LOST = ("finite", "joint_jump", "estimator")
 
 
 def watch_of(mechanism: Mechanism) -> ca.Function:
-    """The function ``watch``: (p, bounds, last, estimate, output, q_meas, dt, limit,
-    crossing) -> values, limits, passed, told, last_next.
+    """Return the function ``watch``: (p, bounds, last, estimate, output, q_meas, dt,
+    limit, crossing) -> values, limits, passed, told, last_next.
     """
     n, watched = mechanism.n, Layout("watched", mechanism.n, VALUES)
     vector, p = mechanism.symbols()
@@ -185,7 +225,7 @@ def watch_of(mechanism: Mechanism) -> ca.Function:
     finite = ca.if_else(is_finite(hat_vector) * out["finite"] > 0.0, 1.0, 0.0)
 
     def largest(values: Symbol, when: Symbol) -> Symbol:
-        """The largest size, 0 where it is not finite, which "finite" watches."""
+        """Return the largest size, 0 where it is not finite, which "finite" watches."""
         return ca.if_else(when, ca.fmax(ca.mmax(ca.fabs(values)), 0.0), 0.0)
 
     q_hat = mechanism.inverse_geometric_model(hat["x"], p)
@@ -253,14 +293,14 @@ def watch_of(mechanism: Mechanism) -> ca.Function:
 
 
 def timer_after(timer: float, dt: float, passed: bool) -> float:
-    """The time, s, of a watch that was ``timer`` dt, s, ago."""
+    """Return the time, s, of a watch that was ``timer`` dt, s, ago."""
     return timer + dt if passed else max(timer - RECOVERY * dt, 0.0)
 
 
 @lru_cache
 def acts_of(mechanism: Mechanism, laws: tuple[str, ...] = tuple(LAWS)) -> Library:
-    """The functions ``act_NAME``, one for each law: its tick and the watches of its
-    output.
+    """Return the functions ``act_NAME``, one for each law: its tick and the watches of
+    its output.
 
     Raises:
         ParameterError: there is no law of a name, or its equations cannot be built.
@@ -360,8 +400,8 @@ class Supervisor:
         self._last.numbers[:] = 0.0
 
     def check(self, q_a: Array, dt: float, estimator: Estimator) -> str:
-        """The sentence, with value and limit, of the watch that trips at the sample
-        that was just answered; "" for none.
+        """Return the sentence, with value and limit, of the watch that trips at the
+        sample that was just answered; "" for none.
 
         Args:
             q_a: measured joints, (n,), rad.
@@ -412,55 +452,23 @@ class Supervisor:
         return dict(zip(NAMES, pairs, strict=True))
 
     def _sentence(self, name: str, q_a: Array) -> str:
-        value, limit = getattr(self._values, name), getattr(self._limits, name)
-        joint, effort = self._joint.unit, self._joint.effort_unit
-        if name == "finite":
-            return (
-                "the estimate or the law gave a number that is not finite; at the"
-                f" sample before it a leg was {self._last.type1:.3f} from Type 1, where"
-                f" its reach ends (a plan keeps {self._robot.min_type1_distance:g})"
-            )
-        if name == "tracking_error":
-            return f"tracking error {value:.4f} m; the limit is {limit} m"
-        if name == "joint_range":
-            lows, highs = self._robot.joint_range
-            off = [
-                abs(math.remainder(q - 0.5 * (low + high), 2.0 * math.pi))
-                - 0.5 * (high - low)
-                for q, low, high in zip(q_a.tolist(), lows, highs, strict=True)
-            ]
-            leg = int(np.argmax(off))
-            return (
-                f"the {self._robot.sides[leg]} joint is {value:.3f} {joint} outside its"
-                f" range of {lows[leg]:.4g} to {highs[leg]:.4g} {joint}; the limit is"
-                f" {limit:.4g} {joint}"
-            )
-        if name == "joint_jump":
-            return (
-                f"a joint jumped by {value:.4f} {joint} in one sample; the limit is"
-                f" {limit:.4g} {joint}"
-            )
-        if name == "locus":
-            return (
-                f"the robot is at |s| = {value:.3f} of the locus without a planned"
-                f" crossing; the limit is {limit:.4g}"
-            )
-        what, unit = {
-            "joint_speed": (f"joint speed {{:.1f}} {joint}/s", f"{joint}/s"),
-            "platform_speed": ("platform speed {:.2f} m/s", "m/s"),
-            "estimator": (
-                f"the joints are {{:.4f}} {joint} from the estimate's",
-                joint,
-            ),
-            "saturation": (f"torque {{:.3f}} {effort}", effort),
-            "torque_rate": (
-                f"the torque changes by {{:.0f}} {effort}/s",
-                f"{effort}/s",
-            ),
-        }[name]
-        shown = f"{limit:.3f}" if name == "saturation" else f"{limit:.4g}"
-        lasted, allowed = 1e3 * self._timers[name], 1e3 * self.times[name]
-        return (
-            f"{what.format(value)} for {lasted:.0f} ms; the limit is {shown} {unit} for"
-            f" {allowed:.0f} ms"
+        lows, highs = self._robot.joint_range
+        beyond = [
+            abs(math.remainder(q - 0.5 * (low + high), 2.0 * math.pi))
+            - 0.5 * (high - low)
+            for q, low, high in zip(q_a.tolist(), lows, highs, strict=True)
+        ]
+        leg = int(np.argmax(beyond))
+        return SENTENCES[name].format(
+            value=getattr(self._values, name),
+            limit=getattr(self._limits, name),
+            J=self._joint.unit,
+            T=self._joint.effort_unit,
+            lasted=1e3 * self._timers[name],
+            time=1e3 * self.times[name],
+            type1=self._last.type1,
+            kept=self._robot.min_type1_distance,
+            side=self._robot.sides[leg],
+            low=lows[leg],
+            high=highs[leg],
         )

@@ -51,7 +51,7 @@ class Window:
         return self._numbers[: min(self._count, len(self._numbers))]
 
     def percentiles(self, *percents: float) -> list[float]:
-        """Percentiles of the numbers; nan without any."""
+        """Return percentiles of the numbers; nan without any."""
         return (
             np.percentile(self.numbers, percents).tolist()
             if self._count
@@ -59,7 +59,7 @@ class Window:
         )
 
     def regularity(self) -> Regularity:
-        """The statistics of intervals, s, computed once for the same ones."""
+        """Return the statistics of intervals, s, computed once for the same ones."""
         if self._found[0] != self._count:
             numbers = self.numbers
             mean = float(numbers.mean())

@@ -205,8 +205,8 @@ class CrossingJudge:
         return news
 
     def _current(self, time: float, block: int) -> int:
-        """The index of a block's last planned crossing that has begun; -1 before the
-        first and without a trajectory.
+        """Return the index of a block's last planned crossing that has begun; -1 before
+        the first and without a trajectory.
         """
         current = bisect.bisect_right(self._times, time - self._start + OPEN_BEFORE) - 1
         while current >= 0 and self._blocks[current] != block:
@@ -214,8 +214,8 @@ class CrossingJudge:
         return current
 
     def _next(self, current: int, block: int) -> float:
-        """The time of a block's next planned crossing since the trajectory's start, s;
-        inf without one.
+        """Return the time of a block's next planned crossing since the trajectory's
+        start, s; inf without one.
         """
         rest = slice(current + 1, None)
         coming = zip(self._times[rest], self._blocks[rest], strict=True)

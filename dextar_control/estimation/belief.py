@@ -75,7 +75,7 @@ class Belief:
     strayed: bool = False
 
     def copy(self) -> Belief:
-        """A belief of its own with the same values."""
+        """Return a belief of its own with the same values."""
         return Belief(*_values_of(self))
 
     def end_test(self) -> None:
@@ -162,7 +162,9 @@ class Belief:
         self.misfit_known = known + (dt / time if dt < time else 1.0) * excess
 
     def as_seen(self) -> tuple[float, float]:
-        """(assembly mode, confidence in it, 0.5 to 1) of the likelier hypothesis."""
+        """Return (assembly mode, confidence in it, 0.5 to 1) of the likelier
+        hypothesis.
+        """
         odds = self.log_odds
         if odds >= 0.0:
             return self.mode, 1.0 / (1.0 + math.exp(-odds))
@@ -173,13 +175,13 @@ _values_of = attrgetter(*(field.name for field in fields(Belief)))
 
 
 def _step(value: float, begin: float, end: float, *, smooth: bool = False) -> float:
-    """A step from 0 at ``begin`` to 1 at ``end``."""
+    """Return a step from 0 at ``begin`` to 1 at ``end``."""
     z = min(max((value - begin) / (end - begin), 0.0), 1.0)
     return z * z * z * (10.0 + z * (6.0 * z - 15.0)) if smooth else z
 
 
 def log_odds_of_side(s: float, variance: float) -> float:
-    """The log-odds of the sign of s by its variance: the logit of the normal
+    """Return the log-odds of the sign of s by its variance: the logit of the normal
     distribution at |s| over its deviation.
     """
     wrong = 0.5 * math.erfc(abs(s) / math.sqrt(2.0 * max(variance, 1e-30)))

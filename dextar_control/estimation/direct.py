@@ -28,7 +28,7 @@ from dextar_control.estimation.joint_filter import JOINTS, track_joints
 from dextar_control.estimation.records import ESTIMATE, REFERENCE
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.planar import wrapped
-from dextar_control.model.model import Model, equations_of
+from dextar_control.model.model import Model, equations_of, equations_on
 from dextar_control.symbols.functions import (
     Fast,
     Library,
@@ -46,7 +46,7 @@ REFINEMENTS = 2  # Newton steps of the strong directions inside the zone
 
 @lru_cache
 def direct_of(mechanism: Mechanism) -> Library:
-    """The functions of the direct estimators: ``follow`` and ``coast``.
+    """Return the functions of the direct estimators: ``follow`` and ``coast``.
 
     Raises:
         ParameterError: the mechanism has no direct model in closed form.
@@ -74,7 +74,7 @@ def direct_of(mechanism: Mechanism) -> Library:
     resting = ca.SX.zeros(n)
 
     def direct(joint: dict[str, Symbol]) -> tuple[Symbol, Symbol]:
-        """The direct model and its velocity, x_dot = J_inv^-1 q_a_dot."""
+        """Return the direct model and its velocity, x_dot = J_inv^-1 q_a_dot."""
         x = mechanism.direct_geometric_model(joint["q"], mode, p)
         if x is None:
             raise ParameterError(
@@ -86,17 +86,15 @@ def direct_of(mechanism: Mechanism) -> Library:
         )
 
     def held(joint: dict[str, Symbol]) -> tuple[Symbol, Symbol]:
-        """The reference, corrected along the strong directions of J_inv so that the
-        joints agree there.
+        """Return the reference, corrected along the strong directions of J_inv so that
+        the joints agree there.
         """
         x = ref["x"]
         J = singular_vectors(equations.at(vector, ref["q_a"], x, ref["x_dot"]).J_inv)
         for _ in range(REFINEMENTS):
             missing = wrapped(joint["q"] - mechanism.inverse_geometric_model(x, p))
             x = x + J.v_strong @ ((J.u_strong.T @ missing) / J.sigma_strong)
-        e = equations.at(
-            vector, mechanism.inverse_geometric_model(x, p), x, ref["x_dot"]
-        )
+        e = equations_on(mechanism, vector, x, ref["x_dot"])
         J = singular_vectors(e.J_inv)
         slow = joint["q_dot"] - e.q_a_dot
         return x, ref["x_dot"] + J.v_strong @ ((J.u_strong.T @ slow) / J.sigma_strong)

@@ -24,7 +24,7 @@ from dextar_control.estimation.transmission import LEAST_STIFFNESS, transmission
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.equations import Equations
-from dextar_control.model.model import equations_of
+from dextar_control.model.model import equations_of, equations_on
 from dextar_control.model.solved import mirror_image
 from dextar_control.symbols.functions import Library, cache_folder, in_place, named
 from dextar_control.symbols.record import Field, Layout
@@ -102,14 +102,14 @@ class _Filters:
         self.vector, self.p = mechanism.symbols()
 
     def at(self, x: Symbol, x_dot: Symbol, tau: Symbol | float = 0.0) -> Equations:
-        q_a = self.mechanism.inverse_geometric_model(x, self.p)
-        return self._equations.at(self.vector, q_a, x, x_dot, 0.0, tau)
+        """Return the equations at a state of the platform, (n,), m, m/s."""
+        return equations_on(self.mechanism, self.vector, x, x_dot, 0.0, tau)
 
     def begin(
         self, noise: dict[str, Symbol], x: Symbol, speed: Symbol
     ) -> dict[str, Symbol]:
-        """The state of a robot at x (n,), m, known from its joints, so that the errors
-        of x and b oppose each other there.
+        """Return the state of a robot at x (n,), m, known from its joints, so that the
+        errors of x and b oppose each other there.
         """
         J = ca.inv(self.at(x, ca.SX.zeros(self.n)).J_inv)
         one, zero = ca.SX.eye(self.n), ca.SX.zeros(self.n, self.n)
@@ -144,8 +144,8 @@ class _Filters:
         *,
         test: bool = False,
     ) -> dict[str, Symbol]:
-        """The state after dt, s, under tau (n,), N m: x_ddot by the forward dynamics in
-        the middle of the step, and the covariance with it.
+        """Return the state after dt, s, under tau (n,), N m: x_ddot by the forward
+        dynamics in the middle of the step, and the covariance with it.
 
         b depends on the configuration, so that its random walk is one of the joints'
         motion: with a walk in time a robot at rest, whose joints cannot tell x from b,
@@ -205,8 +205,8 @@ class _Filters:
         dt: Symbol,
         struck: Symbol,
     ) -> dict[str, Symbol]:
-        """The state with the covariance of a blow in the last dt, s, where ``struck``
-        is 1: shock_speed in x_dot, and what that makes of x.
+        """Return the state with the covariance of a blow in the last dt, s, where
+        ``struck`` is 1: shock_speed in x_dot, and what that makes of x.
         """
         n = self.n
         reach = ca.vertcat(dt * ca.SX.eye(n), ca.SX.eye(n), ca.SX.zeros(2 * n, n))
@@ -216,8 +216,8 @@ class _Filters:
     def innovation(
         self, state: dict[str, Symbol], q_meas: Symbol
     ) -> tuple[Symbol, Symbol]:
-        """(innovation (n,), rad, of the active joints on any turn, their Jacobian H
-        (n, 4n)).
+        """Return (innovation (n,), rad, of the active joints on any turn, their
+        Jacobian H (n, 4n)).
         """
         e = self.at(state["x"], ca.SX.zeros(self.n))
         none = ca.SX(self.n, self.n)
@@ -233,7 +233,7 @@ class _Filters:
         parts: Sequence[Sequence[int]],
         taken: Symbol | float = 1.0,
     ) -> tuple[dict[str, Symbol], Symbol, Symbol]:
-        """The Kalman update of a state.
+        """Return the Kalman update of a state.
 
         Args:
             state: before.
@@ -274,8 +274,8 @@ class _Filters:
         q_meas: Symbol,
         dt: Symbol,
     ) -> tuple[dict[str, Symbol], Symbol]:
-        """(The state corrected with the active joints (n,), rad, 1 where the robot was
-        struck in the last dt, s).
+        """Return (the state corrected with the active joints (n,), rad, 1 where the
+        robot was struck in the last dt, s).
 
         The variance of the samples grows with the jumps of the innovation from one to
         the next, as wrong stamps and a coarse encoder make them, and a soft
@@ -311,7 +311,7 @@ class _Filters:
     def innovate(
         self, noise: dict[str, Symbol], state: dict[str, Symbol], q_meas: Symbol
     ) -> tuple[dict[str, Symbol], Symbol, Symbol]:
-        """The ``update`` with the active joints (n,), rad, with a part for
+        """Return the ``update`` with the active joints (n,), rad, with a part for
         each block.
         """
         innovation, H = self.innovation(state, q_meas)
@@ -319,8 +319,8 @@ class _Filters:
         return self.update(state, innovation, H, self.least_variance(noise), parts)
 
     def least_variance(self, noise: dict[str, Symbol]) -> Symbol:
-        """The variance (n,), rad^2, of the samples by the encoder and by a twist under
-        unknown torques.
+        """Return the variance (n,), rad^2, of the samples by the encoder and by a twist
+        under unknown torques.
         """
         softness: Symbol | float = 0.0
         if numbers := self.mechanism.transmission(self.p):
@@ -331,15 +331,17 @@ class _Filters:
     def position(
         self, state: dict[str, Symbol], x_meas: Symbol
     ) -> tuple[Symbol, Symbol]:
-        """(innovation (n,), m, of an external position, its Jacobian H (n, 4n))."""
+        """Return (innovation (n,), m, of an external position, its Jacobian H
+        (n, 4n)).
+        """
         H = ca.horzcat(ca.SX.eye(self.n), ca.SX(self.n, 3 * self.n))
         return x_meas - state["x"], H
 
     def unseen_blow(
         self, noise: dict[str, Symbol], state: dict[str, Symbol]
     ) -> dict[str, Symbol]:
-        """The state with the covariance of an unseen blow along t_s at any time in the
-        last BLIND, which may have been taken for b.
+        """Return the state with the covariance of an unseen blow along t_s at any time
+        in the last BLIND, which may have been taken for b.
         """
         n = self.n
         t_s = self.at(state["x"], ca.SX.zeros(n)).singular.v_weak
@@ -354,8 +356,8 @@ class _Filters:
     def unsure(
         self, noise: dict[str, Symbol], state: dict[str, Symbol]
     ) -> dict[str, Symbol]:
-        """The state with which a test begins: had the filter been on the wrong side,
-        x_dot, b and d would be wrong, in accord with the joints.
+        """Return the state with which a test begins: had the filter been on the wrong
+        side, x_dot, b and d would be wrong, in accord with the joints.
 
         The same covariance is added to the state and to its image, so that neither has
         an advantage.
@@ -373,8 +375,8 @@ class _Filters:
     def mirror(
         self, state: dict[str, Symbol], columns: Sequence[int]
     ) -> tuple[dict[str, Symbol], Symbol, Symbol]:
-        """The mirror image of a state: the same joints and velocities in a block's
-        other assembly mode, with the covariance.
+        """Return the mirror image of a state: the same joints and velocities in a
+        block's other assembly mode, with the covariance.
 
         Returns:
             (the image, the parameters of its working mode, which may be another one,
@@ -407,8 +409,8 @@ class _Filters:
     def look(
         self, state: dict[str, Symbol], estimate: dict[str, Symbol], *sample: Symbol
     ) -> dict[str, Symbol]:
-        """The records of TOLD, one for each block, and the estimate, whose assembly
-        mode stays.
+        """Return the records of TOLD, one for each block, and the estimate, whose
+        assembly mode stays.
 
         Args:
             state: of the main filter.
@@ -448,19 +450,21 @@ class _Filters:
 
 
 def _gain_parts(P: Symbol, H: Symbol, variance: Symbol) -> tuple[Symbol, Symbol]:
-    """(P H^T, S = H P H^T + variance), of which the Kalman gain is made."""
+    """Return (P H^T, S = H P H^T + variance), of which the Kalman gain is made."""
     PH = P @ H.T
     return PH, H @ PH + ca.diag(variance * ca.SX.ones(H.shape[0]))
 
 
 def _symmetric(matrix: Symbol) -> Symbol:
-    """The symmetric matrix of the lower triangle of one that is so but for rounding."""
+    """Return the symmetric matrix of the lower triangle of one that is so but for
+    rounding.
+    """
     return ca.tril2symm(ca.tril(matrix))
 
 
 @lru_cache
 def filters_of(mechanism: Mechanism) -> Library:
-    """The steps of the filter as functions of the records' vectors."""
+    """Return the steps of the filter as functions of the records' vectors."""
     f, n = _Filters(mechanism), mechanism.n
     state_vector, state = f.filter.symbols()
     noise_vector, noise = f.noise.symbols()

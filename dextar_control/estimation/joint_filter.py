@@ -31,7 +31,7 @@ def track_joints(
     dt: Symbol,
     bandwidth: Symbol,
 ) -> dict[str, Symbol]:
-    """One step of a critically damped second-order tracker of q_meas - q_ref.
+    """Return one step of a critically damped second-order tracker of q_meas - q_ref.
 
     Args:
         memory: of the filter.
@@ -54,7 +54,9 @@ def track_joints(
 
 @lru_cache
 def joint_filter_of(mechanism: Mechanism) -> Library:
-    """The function ``joints``: one sample about the joints' last position, at rest."""
+    """Return the function ``joints``: one sample about the joints' last position, at
+    rest.
+    """
     n = mechanism.n
     layout = Layout("joints", n, JOINTS)
     vector, memory = layout.symbols("memory")

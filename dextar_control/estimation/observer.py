@@ -252,7 +252,7 @@ class Observer:
         self._look.run()
 
     def direct_model(self, q_a: Array, assembly_mode: float | Array) -> Array:
-        """Platform position (n,), m, of the joints (n,), rad, with sign(s) =
+        """Return the platform position (n,), m, of the joints (n,), rad, with sign(s) =
         assembly_mode; the nearest to the last one where it is solved.
         """
         return self._model.direct_geometric_model(q_a, assembly_mode, self.main.x)
@@ -491,7 +491,7 @@ class Observer:
         )
 
     def is_folded(self) -> bool:
-        """Whether the main filter's distal links are nearer to folded than to
+        """Return whether the main filter's distal links are nearer to folded than to
         stretched.
         """
         return bool(self.told.folded >= 0.0)

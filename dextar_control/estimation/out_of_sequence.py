@@ -260,13 +260,15 @@ class SampleHistory:
     def _distance(
         self, state: Record, x_meas: Array, limits: PositionLimits
     ) -> tuple[float, float, float]:
-        """(squared normalised distance of a position (n,), m, from a filter's, ln det
-        of its covariance, distance, m).
+        """Return (squared normalised distance of a position (n,), m, from a filter's,
+        ln det of its covariance, distance, m).
         """
         return self._observer.correct_position(state.copy(), x_meas, limits.deviation)
 
     def _explained_by_blow(self, limits: PositionLimits, x_meas: Array) -> bool:
-        """Whether a blow along t_s explains the position, which is then taken so."""
+        """Return whether a blow along t_s explains the position, which is then taken
+        so.
+        """
         observer, spare = self._observer, self._spare
         spare.take(observer.main)
         observer.allow_for_unseen_blow(spare)

@@ -41,8 +41,8 @@ class Transmission(NamedTuple):
     def held_back(
         self, twist: Symbol, twist_dot: Symbol, tau: Symbol
     ) -> tuple[Symbol, Symbol]:
-        """(torque (n,), N m, that accelerates the rotors where the joints do not, its
-        decrease (n,), N m s^2/rad, with the joints' acceleration).
+        """Return (torque (n,), N m, that accelerates the rotors where the joints do
+        not, its decrease (n,), N m s^2/rad, with the joints' acceleration).
         """
         per_twist, per_rate, per_drive = self.rate
         at_rest = (
@@ -54,7 +54,7 @@ class Transmission(NamedTuple):
     def after(
         self, twist: Symbol, twist_dot: Symbol, tau: Symbol, q_a_ddot: Symbol
     ) -> tuple[Symbol, Symbol]:
-        """(twist, rad, its rate, rad/s) at the end of the sample, (n,) each."""
+        """Return (twist, rad, its rate, rad/s) at the end of the sample, (n,) each."""
         drive = tau / ca.fmax(self.inertia, LEAST_INERTIA) - q_a_ddot
         first, second = (
             a * twist + b * twist_dot + c * drive for a, b, c in (self.twist, self.rate)
@@ -65,7 +65,9 @@ class Transmission(NamedTuple):
 def transmission_over(
     numbers: tuple[Symbol, Symbol, Symbol] | None, dt: Symbol
 ) -> Transmission | None:
-    """The step of a mechanism's ``transmission`` over dt, s; None where it has none."""
+    """Return the step of a mechanism's ``transmission`` over dt, s; None where it has
+    none.
+    """
     if numbers is None:
         return None
     inertia, stiffness, damping = numbers

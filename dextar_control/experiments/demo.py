@@ -13,7 +13,6 @@ import signal
 import threading
 import time
 from collections.abc import Sequence
-from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +40,7 @@ from dextar_control.estimation.estimator import ESTIMATORS
 from dextar_control.experiments.launch_arguments import PACE
 from dextar_control.experiments.monitor import Monitor, monitoring
 from dextar_control.experiments.processes import NodesError, Processes, node_arguments
+from dextar_control.experiments.run_folder import make_run_folder
 from dextar_control.experiments.start_check import check_start
 from dextar_control.model.model import Model
 from dextar_control.nodekit.domain import choose_domain
@@ -92,7 +92,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
         place = _place_as_read(robot, true, start)
         if np.hypot(*(place - stands)) > SAME_PLACE:
             values["plant"].append(assignment("task.start", place.tolist()))
-    folder = _make_folder(arguments.output)
+    folder = make_run_folder(arguments.output)
     values["recorder"].append(assignment("output", folder / "run.mcap"))
     values["trajectory_server"].append(assignment("drawing", folder / "plan.png"))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -295,23 +295,6 @@ def _parameter_files(arguments: argparse.Namespace) -> dict[str, tuple[Path, Pat
             )
         load_parameters(path, what=what)
     return {name: (true if name == "plant" else robot, nodes) for name in NODES}
-
-
-def _make_folder(output: Path) -> Path:
-    stamp = datetime.now(timezone.utc).strftime("%Y%m%dT%H%M%SZ")
-    folder = output / stamp
-    try:
-        number = 1
-        while folder.exists():
-            number += 1
-            folder = output / f"{stamp}-{number}"
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise BagError(
-            f"run folder {folder} cannot be made: {error.strerror}; name another with"
-            " --output"
-        ) from error
-    return folder
 
 
 def _link_latest(folder: Path) -> None:

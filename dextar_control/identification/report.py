@@ -13,7 +13,7 @@ from rich.table import Table
 from dextar_control.analysis.page import Cell, Column, render
 from dextar_control.analysis.registry import number
 from dextar_control.analysis.web_figures import residuals
-from dextar_control.contract.errors import BagError
+from dextar_control.contract.errors import bag_errors
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.words import counted
 from dextar_control.identification.calibration import (
@@ -86,15 +86,10 @@ def write_results(
     Raises:
         BagError: they cannot be written.
     """
-    try:
+    with bag_errors(f"write the results to {robot_file.parent}"):
         robot_file.parent.mkdir(parents=True, exist_ok=True)
         write_robot(robot, lines, robot_file)
         page_file.write_text(page, encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise BagError(
-            f"cannot write the results to {robot_file.parent}:"
-            f" {error.strerror or error}"
-        ) from error
 
 
 def short_name(bag: Path) -> str:

@@ -18,8 +18,8 @@ DETAILED_FIVE_BAR = DetailedFiveBar()
 
 
 def five_bar_of(values: Mapping[str, object]) -> Mechanism:
-    """The five-bar of these values: with friction of its passive joints and elastic
-    transmissions where there is some.
+    """Return the five-bar of these values: with friction of its passive joints and
+    elastic transmissions where there is some.
     """
     detailed = any(values.get(parameter.name) for parameter in DETAILED_FIVE_BAR.detail)
     return DETAILED_FIVE_BAR if detailed else mechanism_named("five_bar")
@@ -27,8 +27,8 @@ def five_bar_of(values: Mapping[str, object]) -> Mechanism:
 
 @lru_cache
 def mechanism_named(name: str) -> Mechanism:
-    """The mechanism of a name of ``MECHANISMS``, or of ``module:class`` of one's own;
-    the same each time, so that its equations are built and compiled once.
+    """Return the mechanism of a name of ``MECHANISMS``, or of ``module:class`` of one's
+    own; the same each time, so that its equations are built and compiled once.
 
     Raises:
         ParameterError: there is none (it says which there are), or it cannot be made.

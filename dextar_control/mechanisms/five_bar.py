@@ -39,12 +39,12 @@ class FiveBar(FiveBarLocus):
     )
 
     def platform_lagrangian(self, x: Symbol, x_dot: Symbol, p: Values) -> Symbol:
-        """Kinetic less potential energy, J, of the point mass."""
+        """Return the kinetic less potential energy, J, of the point mass."""
         m = p.end_effector_mass
         return 0.5 * m * ca.sumsqr(x_dot) + m * ca.dot(p.gravity, x)
 
     def unreached(self, x: Array, q_a: Array, p: Values) -> str:
-        """The sentence with the distance of the first leg that does not reach.
+        """Return the sentence with the distance of the first leg that does not reach.
 
         Args:
             x: platform position, (2,), m.
@@ -63,7 +63,7 @@ class FiveBar(FiveBarLocus):
     def direct_geometric_model(
         self, q_a: Symbol, assembly_mode: Symbol, p: Values
     ) -> Symbol:
-        """x (2,), m, where the distal links' circles about the elbows meet.
+        """Return x (2,), m, where the distal links' circles about the elbows meet.
 
         It is never on the line of the elbows itself, where the velocity would be 0/0.
         Elbows that coincide define no point: nan.
@@ -79,14 +79,14 @@ class FiveBar(FiveBarLocus):
         )
 
     def mirror_image(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
-        """x (2,), m, mirrored on the line of the elbows."""
+        """Return x (2,), m, mirrored on the line of the elbows."""
         first, second = self.distal_rods(q_a, x, p)
         side = first[0] * second[1] - first[1] * second[0]  # of the sign of s
         return self.direct_geometric_model(q_a, ca.if_else(side > 0.0, -1.0, 1.0), p)
 
     def why_open(self, q_a: Array, p: Values) -> str:
-        """The sentence with the distance of the elbows at joints q_a (2,), rad, where
-        the distal links do not span it, else "".
+        """Return the sentence with the distance of the elbows at joints q_a (2,), rad,
+        where the distal links do not span it, else "".
         """
         left, right = (
             np.array(self.elbow(leg, float(q_a[leg]), p)).ravel() for leg in range(2)
@@ -102,14 +102,14 @@ class FiveBar(FiveBarLocus):
         )
 
     def folded(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
-        """Dot product, m^2, of the distal rods: where they point the same way, the
-        image is a whole turn of them away.
+        """Return the dot product, m^2, of the distal rods: where they point the same
+        way, the image is a whole turn of them away.
         """
         return ca.dot(*self.distal_rods(q_a, x, p))
 
     def singularity_of_joints(self, q_a: Symbol, p: Values) -> Symbol:
-        """Sine of the angle between the distal links, which follows from the distance
-        of the elbows.
+        """Return the sine of the angle between the distal links, which follows from the
+        distance of the elbows.
         """
         l2, r2 = p["left"].distal_length, p["right"].distal_length
         between = ca.sumsqr(self.elbow(1, q_a[1], p) - self.elbow(0, q_a[0], p))
@@ -119,7 +119,7 @@ class FiveBar(FiveBarLocus):
         return ca.if_else(closes, ca.sqrt(ca.if_else(closes, square, 1.0)), 0.0)
 
     def linkage(self, q_a: Array, x: Array, p: Values) -> Array:
-        """(5, 2) motor, elbow, end effector, elbow, motor, m, to draw.
+        """Return (5, 2) motor, elbow, end effector, elbow, motor, m, to draw.
 
         Args:
             q_a: active joints, (2,), rad.
@@ -133,8 +133,8 @@ class FiveBar(FiveBarLocus):
         return points
 
     def bodies(self, p: Values) -> Bodies:
-        """Both legs, half of the end effector's mass on each tip: pinned together they
-        are one body.
+        """Return both legs, half of the end effector's mass on each tip: pinned
+        together they are one body.
         """
         legs = [p[side] for side in SIDES]
         bases = [self.base(leg, p) for leg in range(2)]
@@ -145,7 +145,7 @@ class FiveBar(FiveBarLocus):
         )
 
     def tree_platform(self, joints: Symbol, p: Values) -> Symbol:
-        """x (2,), m, in the middle of the tips at joints (4,), rad."""
+        """Return x (2,), m, in the middle of the tips at joints (4,), rad."""
         left, right = (
             self.elbow(leg, joints[2 * leg], p)
             + p[side].distal_length * direction(joints[2 * leg] + joints[2 * leg + 1])
@@ -154,13 +154,13 @@ class FiveBar(FiveBarLocus):
         return 0.5 * (left + right)
 
     def singularity_scale(self, p: Values) -> Symbol:
-        """Product of the distal lengths, m^2: s is the sine of the angle between the
-        distal links.
+        """Return the product of the distal lengths, m^2: s is the sine of the angle
+        between the distal links.
         """
         return p["left"].distal_length * p["right"].distal_length
 
     def singularity_length(self, p: Values) -> Symbol:
-        """Geometric mean of the distal lengths, m."""
+        """Return the geometric mean of the distal lengths, m."""
         return ca.sqrt(p["left"].distal_length * p["right"].distal_length)
 
 
@@ -194,8 +194,8 @@ class DetailedFiveBar(FiveBar):
     parameters = (*FiveBar.parameters, *detail)
 
     def transmission(self, p: Values) -> tuple[Symbol, Symbol, Symbol]:
-        """(rotor inertia, kg m^2, stiffness, N m/rad, damping, N m s/rad), (2,) each,
-        of the motors.
+        """Return (rotor inertia, kg m^2, stiffness, N m/rad, damping, N m s/rad), (2,)
+        each, of the motors.
         """
         legs = [p[side] for side in SIDES]
         return (
@@ -207,8 +207,8 @@ class DetailedFiveBar(FiveBar):
     def passive_friction(
         self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Values
     ) -> tuple[Symbol, Symbol]:
-        """(rates (3,), rad/s, friction (3,), N m) of the left elbow, the right one and
-        the pin.
+        """Return (rates (3,), rad/s, friction (3,), N m) of the left elbow, the right
+        one and the pin.
         """
         turning = []
         for leg, side in enumerate(SIDES):

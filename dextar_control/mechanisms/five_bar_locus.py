@@ -51,17 +51,17 @@ class FiveBarLocus(TwoLinkLegs):
     working_modes = ((1, -1), (1, 1), (-1, 1), (-1, -1))
 
     def base(self, leg: int, p: Values) -> Symbol:
-        """e_i (2,), m, a motor's axis."""
+        """Return e_i (2,), m, a motor's axis."""
         return p[SIDES[leg]].axis
 
     def tip(self, leg: int, x: Symbol, p: Values) -> Symbol:
-        """x (2,), m: both legs end in the end effector."""
+        """Return x (2,), m: both legs end in the end effector."""
         return x
 
     def type2_locus(
         self, family: Symbol, branch: Symbol, angle: Symbol, p: Values
     ) -> tuple[Symbol, Symbol, Symbol]:
-        """A point of the locus.
+        """Return a point of the locus.
 
         Args:
             family: value of the ``Family``.
@@ -94,24 +94,24 @@ class FiveBarLocus(TwoLinkLegs):
         )
 
     def family(self, A_r: Array) -> Family:
-        """The family that a point of the locus belongs to, by A_r (2, 2), m, whose rows
-        are r_1 and r_2.
+        """Return the family that a point of the locus belongs to, by A_r (2, 2), m,
+        whose rows are r_1 and r_2.
         """
         return Family.STRETCHED if A_r[0] @ A_r[1] < 0.0 else Family.FOLDED
 
     def family_name(self, A_r: Array) -> str:
-        """The name of ``family`` for A_r (2, 2), m, in lower case."""
+        """Return the name of ``family`` for A_r (2, 2), m, in lower case."""
         return self.family(A_r).name.lower()
 
     def modes(self, type1_sines: Array) -> Array:
-        """Working modes (m, 2), 1, of the sines (m, 2), 1, of the elbows' angles: +1
-        where the elbow is on the left, which makes the sine negative.
+        """Return the working modes (m, 2), 1, of the sines (m, 2), 1, of the elbows'
+        angles: +1 where the elbow is on the left, which makes the sine negative.
         """
         return np.where(type1_sines < 0.0, 1, -1)
 
     def workspace(self, p: Values) -> tuple[Array, Array]:
-        """Corners (2,), m, of a box that holds every place it reaches; ``p`` has
-        numbers.
+        """Return the corners (2,), m, of a box that holds every place it reaches; ``p``
+        has numbers.
         """
         reach = np.array(
             [
@@ -123,7 +123,7 @@ class FiveBarLocus(TwoLinkLegs):
         return (axes - reach[:, None]).max(axis=0), (axes + reach[:, None]).min(axis=0)
 
     def length(self, p: Values) -> float:
-        """The mean distal length, m, by which distances are measured; ``p`` has
+        """Return the mean distal length, m, by which distances are measured; ``p`` has
         numbers.
         """
         return float(np.mean([p[side].distal_length[0] for side in SIDES]))

@@ -63,7 +63,7 @@ class Parameter:
     size: int = 1
 
     def check(self, value: object) -> list[float]:
-        """The numbers of a value.
+        """Return the numbers of a value.
 
         Raises:
             ParameterError: they are not ``size`` finite numbers within the bounds.
@@ -143,24 +143,24 @@ class Mechanism(ABC):
 
     @abstractmethod
     def closures(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
-        """h(q_a, x), (n,): zero where the loops are closed."""
+        """Return h(q_a, x), (n,): zero where the loops are closed."""
 
     @abstractmethod
     def lagrangian(
         self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Values
     ) -> Symbol:
-        """L(q_a, x, q_a_dot, x_dot), J: kinetic less potential energy."""
+        """Return L(q_a, x, q_a_dot, x_dot), J: kinetic less potential energy."""
 
     def inverse_geometric_model(self, x: Symbol, p: Values) -> Symbol:
-        """q_a (n,) of a platform position x (n,) in the working mode of ``p``; nan
-        where it is not reached. Here it follows from ``nearest_joints``.
+        """Return q_a (n,) of a platform position x (n,) in the working mode of ``p``;
+        nan where it is not reached. Here it follows from ``nearest_joints``.
         """
         q_a, extension = self.nearest_joints(x, p)
         return ca.if_else(ca.fabs(extension) <= 1.0, q_a, ca.SX.nan(self.n))
 
     def nearest_joints(self, x: Symbol, p: Values) -> tuple[Symbol, Symbol]:
-        """(q_a (n,), extension (n,)): the inverse geometric model with finite numbers
-        and derivatives everywhere, which planning needs.
+        """Return (q_a (n,), extension (n,)): the inverse geometric model with finite
+        numbers and derivatives everywhere, which planning needs.
 
         The extension of a leg is within [-1, 1] where it reaches x, +-1 at Type 1 and
         beyond that by how far it misses; there the joint is the one that comes nearest.
@@ -174,8 +174,8 @@ class Mechanism(ABC):
         )
 
     def unreached(self, x: Array, q_a: Array, p: Values) -> str:
-        """The sentence that says why q_a (n,), rad or m, is nan at x (n,), m; ``p`` has
-        numbers.
+        """Return the sentence that says why q_a (n,), rad or m, is nan at x (n,), m;
+        ``p`` has numbers.
         """
         joint = self.joints[int(np.argmin(np.isfinite(q_a)))].name
         return (
@@ -185,8 +185,8 @@ class Mechanism(ABC):
     def direct_geometric_model(
         self, q_a: Symbol, assembly_mode: Symbol, p: Values
     ) -> Symbol | None:
-        """x (n,) of joints q_a (n,) with sign(s) = assembly_mode, its root kept above
-        zero; None, as here, where it has no closed form and is solved.
+        """Return x (n,) of joints q_a (n,) with sign(s) = assembly_mode, its root kept
+        above zero; None, as here, where it has no closed form and is solved.
 
         Where A_r has k blocks the assembly mode has a sign for each, (k,), or one for
         all.
@@ -196,99 +196,100 @@ class Mechanism(ABC):
     def type2_locus(
         self, family: Symbol, branch: Symbol, angle: Symbol, p: Values
     ) -> tuple[Symbol, Symbol, Symbol] | None:
-        """(q_a (n,), x (n,), closing) of the Type 2 locus at a tracing angle; None
-        where it is not traced in closed form.
+        """Return (q_a (n,), x (n,), closing) of the Type 2 locus at a tracing angle;
+        None where it is not traced in closed form.
 
         Without it a point of the locus is found near a given place.
         """
         return None
 
     def family_name(self, A_r: Array) -> str:
-        """The family of the locus that a point of it belongs to, by A_r (n, n), m
-        (the closures' unit over m); "" where there is one family.
+        """Return the family of the locus that a point of it belongs to, by A_r (n, n),
+        m (the closures' unit over m); "" where there is one family.
         """
         return ""
 
     def length(self, p: Values) -> float:
-        """The length by which distances are measured, m; ``p`` has numbers."""
+        """Return the length by which distances are measured, m; ``p`` has numbers."""
         return float(np.ravel(self.singularity_length(p))[0])
 
     def mirror_image(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol | None:
-        """The platform position (n,) with -sign(s) that has the same joints q_a as x;
-        None where it has no closed form.
+        """Return the platform position (n,) with -sign(s) that has the same joints q_a
+        as x; None where it has no closed form.
         """
         return None
 
     def why_open(self, q_a: Array, p: Values) -> str:
-        """The sentence that says why no platform position closes the loops at joints
-        q_a (n,), rad or m; "" where one does or that is not known; ``p`` has numbers.
+        """Return the sentence that says why no platform position closes the loops at
+        joints q_a (n,), rad or m; "" where one does or that is not known; ``p`` has
+        numbers.
         """
         return ""
 
     def folded(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
-        """Positive where the ``mirror_image`` is far from x even near the locus; of all
-        blocks of A_r, or (k,) of each.
+        """Return a number that is positive where the ``mirror_image`` is far from x
+        even near the locus; of all blocks of A_r, or (k,) of each.
         """
         return ca.SX(-1.0)
 
     def singularity_of_joints(self, q_a: Symbol, p: Values) -> Symbol | None:
-        """|s| of the joints q_a (n,), which is the same in both assembly modes, 0 where
-        they do not close the loops; None where that is not known.
+        """Return |s| of the joints q_a (n,), which is the same in both assembly modes,
+        0 where they do not close the loops; None where that is not known.
         """
         return None
 
     def linkage(self, q_a: Array, x: Array, p: Values) -> Array:
-        """The points (k, 2), m, whose polygon is drawn as the robot at joints q_a (n,)
-        and platform position x (n,); none where there is no picture of it.
+        """Return the points (k, 2), m, whose polygon is drawn as the robot at joints
+        q_a (n,) and platform position x (n,); none where there is no picture of it.
         """
         return np.zeros((0, 2))
 
     def bodies(self, p: Values) -> Bodies | None:
-        """The bodies it is built of; None where that is not said, and then neither
-        ``tree_joints`` nor ``tree_platform`` is called.
+        """Return the bodies it is built of; None where that is not said, and then
+        neither ``tree_joints`` nor ``tree_platform`` is called.
         """
         return None
 
     def tree_joints(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
-        """Positions (m,) of all joints of its bodies, rad or m, where the loops are
-        closed.
+        """Return positions (m,) of all joints of its bodies, rad or m, where the loops
+        are closed.
         """
         raise NotImplementedError
 
     def tree_platform(self, joints: Symbol, p: Values) -> Symbol:
-        """x (n,) of the platform where all joints are at positions (m,)."""
+        """Return x (n,) of the platform where all joints are at positions (m,)."""
         raise NotImplementedError
 
     @abstractmethod
     def singularity_scale(self, p: Values) -> Symbol:
-        """The number, or (k,) for blocks of A_r, over which det(A_r) is s:
+        """Return the number, or (k,) for blocks of A_r, over which det(A_r) is s:
         dimensionless and about 1 far from the Type 2 locus.
         """
 
     def singularity_length(self, p: Values) -> Symbol:
-        """The number over which the least singular value of A_r is dimensionless. Here
-        it is the n-th root of the scale, where A_r has one block.
+        """Return the number over which the least singular value of A_r is
+        dimensionless. Here it is the n-th root of the scale, where A_r has one block.
         """
         return self.singularity_scale(p) ** (1.0 / self.n)
 
     def type1_sines(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
-        """One number a leg, at most 1 in size: zero where the leg is at a Type 1
+        """Return one number a leg, at most 1 in size: zero where the leg is at a Type 1
         singularity. Here it follows from the extensions of ``nearest_joints``.
         """
         _, extension = self.nearest_joints(x, p)
         return ca.sqrt(ca.fmax(1.0 - extension**2, LEAST_SQUARE))
 
     def friction(self, q_a_dot: Symbol, p: Values) -> Symbol:
-        """Friction torque of the active joints (n,), N m (N), opposing q_a_dot; none
-        here.
+        """Return the friction torque of the active joints (n,), N m (N), opposing
+        q_a_dot; none here.
         """
         return ca.SX.zeros(self.n)
 
     def passive_friction(
         self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Values
     ) -> tuple[Symbol, Symbol]:
-        """(rates (k,), rad/s, of joints without a motor, friction torques (k,), N m,
-        that oppose them); none where there is none.
+        """Return (rates (k,), rad/s, of joints without a motor, friction torques (k,),
+        N m, that oppose them); none where there is none.
 
         The rates depend on both velocities as if they were independent, as the
         Lagrangian does.
@@ -296,18 +297,20 @@ class Mechanism(ABC):
         return ca.SX(0, 1), ca.SX(0, 1)
 
     def transmission(self, p: Values) -> tuple[Symbol, Symbol, Symbol] | None:
-        """(rotor inertia, kg m^2, stiffness, N m/rad, 0 where rigid, damping, N m
-        s/rad), (n,) each, between motors and joints; None where all are rigid.
+        """Return (rotor inertia, kg m^2, stiffness, N m/rad, 0 where rigid, damping, N
+        m s/rad), (n,) each, between motors and joints; None where all are rigid.
         """
         return None
 
     def symbols(self) -> tuple[Symbol, Values]:
-        """(all parameters as one vector, the same by their dotted names)."""
+        """Return (all parameters as one vector, the same by their dotted names)."""
         vector = ca.SX.sym("p", sum(parameter.size for parameter in self.parameters))
         return vector, self.named(vector)
 
     def rows(self) -> dict[str, Slice]:
-        """The rows of each parameter in the vector of ``symbols``, by its name."""
+        """Return the rows of each parameter in the vector of ``symbols``, by
+        its name.
+        """
         ends = accumulate(parameter.size for parameter in self.parameters)
         return {
             parameter.name: slice(end - parameter.size, end)
@@ -315,8 +318,8 @@ class Mechanism(ABC):
         }
 
     def named(self, vector: Symbol | ca.DM | Array) -> Values:
-        """The parameters of a vector (m,) of symbols, or of numbers in SI units (m, kg,
-        N and so on), by their dotted names.
+        """Return the parameters of a vector (m,) of symbols, or of numbers in SI units
+        (m, kg, N and so on), by their dotted names.
         """
         named = Values()
         for name, rows in self.rows().items():
@@ -328,8 +331,8 @@ class Mechanism(ABC):
         return named
 
     def values(self, flat: Mapping[str, object]) -> Array:
-        """The vector (m,) of ``symbols`` with numbers, in SI units (m, kg, N and so
-        on).
+        """Return the vector (m,) of ``symbols`` with numbers, in SI units (m, kg, N and
+        so on).
 
         Args:
             flat: values by dotted names; other names are ignored.

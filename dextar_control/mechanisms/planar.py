@@ -19,7 +19,7 @@ LEAST_REACH = 1e-6  # of the proximal length, below which a leg's end has no dir
 
 
 def leg_parameters(leg: str) -> tuple[Parameter, ...]:
-    """The parameters of a leg of two links, under the leg's name."""
+    """Return the parameters of a leg of two links, under the leg's name."""
     links = (("proximal", "motor"), ("distal", "elbow"))
     return (
         *(
@@ -54,7 +54,9 @@ def leg_parameters(leg: str) -> tuple[Parameter, ...]:
 
 
 def plane_parameters(legs: int) -> tuple[Parameter, ...]:
-    """The parameters that legs of two links share: gravity, friction, elbow sides."""
+    """Return the parameters that legs of two links share: gravity, friction, elbow
+    sides.
+    """
     return (
         Parameter("gravity", "m/s^2", "in the robot's plane", size=2),
         Parameter(
@@ -88,28 +90,28 @@ class TwoLinkLegs(Mechanism):
 
     @abstractmethod
     def base(self, leg: int, p: Values) -> Symbol:
-        """e_i (2,), m, a motor's axis."""
+        """Return e_i (2,), m, a motor's axis."""
 
     @abstractmethod
     def tip(self, leg: int, x: Symbol, p: Values) -> Symbol:
-        """C_i (2,), m, a leg's end on the platform at x (n,), m."""
+        """Return C_i (2,), m, a leg's end on the platform at x (n,), m."""
 
     @abstractmethod
     def platform_lagrangian(self, x: Symbol, x_dot: Symbol, p: Values) -> Symbol:
-        """Kinetic less potential energy, J, of the platform alone."""
+        """Return the kinetic less potential energy, J, of the platform alone."""
 
     def elbow(self, leg: int, angle: Symbol | float, p: Values) -> Symbol:
-        """P_i (2,), m, at a motor's angle, rad."""
+        """Return P_i (2,), m, at a motor's angle, rad."""
         return self.base(leg, p) + p[self.legs[leg]].proximal_length * direction(angle)
 
     def distal_rods(self, q_a: Symbol, x: Symbol, p: Values) -> list[Symbol]:
-        """C_i - P_i (2,), m, of each leg."""
+        """Return C_i - P_i (2,), m, of each leg."""
         return [
             self.tip(leg, x, p) - self.elbow(leg, q_a[leg], p) for leg in range(self.n)
         ]
 
     def closures(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
-        """Half of |C_i - P_i|^2 - l2^2 (n,), m^2."""
+        """Return half of |C_i - P_i|^2 - l2^2 (n,), m^2."""
         rods = self.distal_rods(q_a, x, p)
         return ca.vertcat(
             *(
@@ -121,7 +123,9 @@ class TwoLinkLegs(Mechanism):
     def lagrangian(
         self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Values
     ) -> Symbol:
-        """L, J; each distal rod is seen from its two ends, the elbow and the tip."""
+        """Return L, J; each distal rod is seen from its two ends, the elbow and the
+        tip.
+        """
         energy = self.platform_lagrangian(x, x_dot, p)
         for leg, name in enumerate(self.legs):
             link, base = p[name], self.base(leg, p)
@@ -151,7 +155,7 @@ class TwoLinkLegs(Mechanism):
     def _reaches(
         self, x: Symbol, p: Values
     ) -> list[tuple[Symbol, Symbol, Symbol, Symbol]]:
-        """(C_i - e_i (2,), l1, l2, m, elbow side) of each leg."""
+        """Return (C_i - e_i (2,), l1, l2, m, elbow side) of each leg."""
         return [
             (
                 self.tip(leg, x, p) - self.base(leg, p),
@@ -163,18 +167,18 @@ class TwoLinkLegs(Mechanism):
         ]
 
     def inverse_geometric_model(self, x: Symbol, p: Values) -> Symbol:
-        """q_a (n,), rad, in closed form, in [-pi, pi)."""
+        """Return q_a (n,), rad, in closed form, in [-pi, pi)."""
         return ca.vertcat(*(two_link_angle(*leg) for leg in self._reaches(x, p)))
 
     def nearest_joints(self, x: Symbol, p: Values) -> tuple[Symbol, Symbol]:
-        """(q_a (n,), rad, extension (n,), 1), in closed form."""
+        """Return (q_a (n,), rad, extension (n,), 1), in closed form."""
         angles, extensions = zip(
             *(nearest_two_link_angle(*leg) for leg in self._reaches(x, p)), strict=True
         )
         return ca.vertcat(*angles), ca.vertcat(*extensions)
 
     def type1_sines(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
-        """Sines (n,) of the elbows' angles."""
+        """Return sines (n,) of the elbows' angles."""
         sines = []
         for leg, r in enumerate(self.distal_rods(q_a, x, p)):
             u = direction(q_a[leg])
@@ -182,14 +186,18 @@ class TwoLinkLegs(Mechanism):
         return ca.vertcat(*sines)
 
     def friction(self, q_a_dot: Symbol, p: Values) -> Symbol:
-        """Friction (n,), N m, of the motors, which opposes q_a_dot (n,), rad/s."""
+        """Return friction (n,), N m, of the motors, which opposes q_a_dot
+        (n,), rad/s.
+        """
         legs = [p[name] for name in self.legs]
         viscous = ca.vertcat(*(leg.viscous_friction for leg in legs))
         coulomb = ca.vertcat(*(leg.coulomb_friction for leg in legs))
         return viscous_and_coulomb(q_a_dot, viscous, coulomb, p.coulomb_speed)
 
     def tree_joints(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
-        """Angles (2n,), rad, of motors and elbows: q11, q12, q21, q22 and so on."""
+        """Return angles (2n,), rad, of motors and elbows: q11, q12, q21, q22
+        and so on.
+        """
         angles = []
         for leg, r in enumerate(self.distal_rods(q_a, x, p)):
             angles += [q_a[leg], wrapped(ca.atan2(r[1], r[0]) - q_a[leg])]
@@ -199,7 +207,8 @@ class TwoLinkLegs(Mechanism):
 def viscous_and_coulomb(
     rates: Symbol, viscous: Symbol, coulomb: Symbol, speed: Symbol
 ) -> Symbol:
-    """Viscous and smoothed Coulomb friction (m,), N m, that opposes rates (m,), rad/s.
+    """Return viscous and smoothed Coulomb friction (m,), N m, that opposes rates (m,),
+    rad/s.
 
     Args:
         rates: of the joints, (m,), rad/s.
@@ -211,7 +220,7 @@ def viscous_and_coulomb(
 
 
 def direction(angle: Symbol | float) -> Symbol:
-    """Unit vector (2,) at an angle, rad."""
+    """Return the unit vector (2,) at an angle, rad."""
     return ca.vertcat(ca.cos(angle), ca.sin(angle))
 
 
@@ -224,7 +233,7 @@ def rod(
     velocities: Ends,
     gravity: Symbol,
 ) -> Symbol:
-    """Lagrangian, J, of a rigid rod seen from its two ends.
+    """Return the Lagrangian, J, of a rigid rod seen from its two ends.
 
     Args:
         mass: kg.
@@ -247,7 +256,7 @@ def rod(
 def loaded_rod(
     mass: Symbol, center: Symbol, inertia: Symbol, length: Symbol, load: Symbol | float
 ) -> tuple[Symbol, Symbol, Symbol]:
-    """A rod with a point mass at its end, as one body.
+    """Return a rod with a point mass at its end, as one body.
 
     Args:
         mass: of the rod alone, kg.
@@ -275,7 +284,7 @@ def loaded_rod(
 def leg_links(
     bases: Sequence[Symbol], legs: Sequence[Values], load: Symbol | float
 ) -> list[Link]:
-    """Links on the joints q11, q12, q21, q22 and so on.
+    """Return links on the joints q11, q12, q21, q22 and so on.
 
     Args:
         bases: of the motors, (2,) each, m.
@@ -307,7 +316,8 @@ def leg_links(
 def two_link_angle(
     reach: Symbol, l1: Symbol, l2: Symbol, working_mode: Symbol
 ) -> Symbol:
-    """Angle of a leg's first link, rad, in [-pi, pi); nan where it does not reach.
+    """Return the angle of a leg's first link, rad, in [-pi, pi); nan where it does not
+    reach.
 
     Args:
         reach: from the base to the tip, (2,), m.
@@ -323,7 +333,8 @@ def two_link_angle(
 def nearest_two_link_angle(
     reach: Symbol, l1: Symbol, l2: Symbol, working_mode: Symbol
 ) -> tuple[Symbol, Symbol]:
-    """(``two_link_angle``, rad, extension, 1), finite everywhere as their derivatives.
+    """Return (``two_link_angle``, rad, extension, 1), finite everywhere as their
+    derivatives.
 
     The extension is minus the cosine of the angle between the links: it is -1 where
     they are folded, 1 where they are stretched, and beyond that out of reach.
@@ -336,7 +347,7 @@ def nearest_two_link_angle(
 
 
 def wrapped(angle: Symbol) -> Symbol:
-    """An angle in [-pi, pi), rad."""
+    """Return an angle in [-pi, pi), rad."""
     return angle - 2.0 * ca.pi * ca.floor((angle + ca.pi) / (2.0 * ca.pi))
 
 
@@ -348,8 +359,8 @@ def circles(
     side: Symbol,
     least: float = 0.0,
 ) -> Symbol:
-    """The point (2,), m, where two circles meet, on the line of their centres where
-    they do not touch.
+    """Return the point (2,), m, where two circles meet, on the line of their centres
+    where they do not touch.
 
     Args:
         first, second: centres (2,), m.
@@ -366,8 +377,8 @@ def circles(
 def overlap(
     first: Symbol, first_radius: Symbol, second: Symbol, second_radius: Symbol
 ) -> Symbol:
-    """Square of half of two circles' common chord, m^2; below zero where they do not
-    touch.
+    """Return the square of half of two circles' common chord, m^2; below zero where
+    they do not touch.
     """
     return first_radius**2 - _chord(first, first_radius, second, second_radius)[0] ** 2
 
@@ -375,6 +386,6 @@ def overlap(
 def _chord(
     first: Symbol, first_radius: Symbol, second: Symbol, second_radius: Symbol
 ) -> tuple[Symbol, Symbol]:
-    """(from the first centre to the common chord, between the centres), m."""
+    """Return (from the first centre to the common chord, between the centres), m."""
     distance = ca.sqrt(ca.sumsqr(second - first))
     return 0.5 * (distance + (first_radius**2 - second_radius**2) / distance), distance

@@ -66,17 +66,17 @@ class ThreeRRR(TwoLinkLegs):
     )
 
     def base(self, leg: int, p: Values) -> Symbol:
-        """e_i (2,), m, a motor's axis."""
+        """Return e_i (2,), m, a motor's axis."""
         return p.base_radius * direction(ANGLES[leg])
 
     def tip(self, leg: int, x: Symbol | ca.DM, p: Values) -> Symbol:
-        """C_i (2,), m, a corner of the platform."""
+        """Return C_i (2,), m, a corner of the platform."""
         return x[:2] + p.platform_radius * direction(
             ANGLES[leg] + x[2] / p.rotation_radius
         )
 
     def platform_lagrangian(self, x: Symbol, x_dot: Symbol, p: Values) -> Symbol:
-        """Kinetic less potential energy, J, of the platform."""
+        """Return the kinetic less potential energy, J, of the platform."""
         turn = x_dot[2] / p.rotation_radius
         kinetic = (
             0.5 * p.platform_mass * ca.sumsqr(x_dot[:2])
@@ -90,7 +90,7 @@ class ThreeRRR(TwoLinkLegs):
         """None: there are up to six solutions, of a polynomial of the sixth degree."""
 
     def linkage(self, q_a: Array, x: Array, p: Values) -> Array:
-        """(16, 2) points, m, from each corner to its motor and back, along the
+        """Return (16, 2) points, m, from each corner to its motor and back, along the
         platform's edges to the first corner again.
 
         Args:
@@ -106,8 +106,8 @@ class ThreeRRR(TwoLinkLegs):
         return np.array([ca.DM(point).full().ravel() for point in (*points, points[0])])
 
     def bodies(self, p: Values) -> Bodies:
-        """The first leg carries the platform by its corner, at q13; the other legs are
-        pinned to it.
+        """Return the first leg carries the platform by its corner, at q13; the other
+        legs are pinned to it.
         """
         legs = [p[name] for name in LEGS]
         links = leg_links([self.base(leg, p) for leg in range(3)], legs, 0.0)
@@ -123,12 +123,12 @@ class ThreeRRR(TwoLinkLegs):
         return Bodies((*links, platform), pins, p.gravity, p.coulomb_speed)
 
     def tree_joints(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
-        """Angles (7,), rad, of q11, q12, q21, q22, q31, q32 and q13."""
+        """Return angles (7,), rad, of q11, q12, q21, q22, q31, q32 and q13."""
         legs = super().tree_joints(q_a, x, p)
         return ca.vertcat(legs, x[2] / p.rotation_radius - legs[0] - legs[1])
 
     def tree_platform(self, joints: Symbol, p: Values) -> Symbol:
-        """x (3,), m, by the corner on the first leg, at joints (7,), rad."""
+        """Return x (3,), m, by the corner on the first leg, at joints (7,), rad."""
         distal = joints[0] + joints[1]
         corner = self.elbow(0, joints[0], p) + p["leg1"].distal_length * direction(
             distal
@@ -137,11 +137,13 @@ class ThreeRRR(TwoLinkLegs):
         return turned + ca.vertcat(corner - self.tip(0, turned, p), 0.0)
 
     def singularity_scale(self, p: Values) -> Symbol:
-        """Product of the distal lengths and the lever of a corner over rho, m^3."""
+        """Return the product of the distal lengths and the lever of a corner over
+        rho, m^3.
+        """
         first, second, third = (p[name].distal_length for name in LEGS)
         return first * second * third * p.platform_radius / p.rotation_radius
 
     def singularity_length(self, p: Values) -> Symbol:
-        """Geometric mean of the distal lengths, m."""
+        """Return the geometric mean of the distal lengths, m."""
         first, second, third = (p[name].distal_length for name in LEGS)
         return (first * second * third) ** (1.0 / 3.0)

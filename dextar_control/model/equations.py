@@ -109,7 +109,7 @@ class Equations:
         x_ddot: Symbol | float = 0.0,
         tau: Symbol | float = 0.0,
     ) -> Equations:
-        """The equations of another state: of other symbols or expressions."""
+        """Return the equations of another state: of other symbols or expressions."""
         names = [field.name for field in fields(self) if field.name != "singular"]
         given = [self.p, self.q_a, self.x, self.x_dot, self.x_ddot, self.tau]
         values = ca.Function(
@@ -122,7 +122,7 @@ class Equations:
 
 
 def equations(mechanism: Mechanism) -> Equations:
-    """The equations of a mechanism.
+    """Return the equations of a mechanism.
 
     Raises:
         ParameterError: its closures and coordinates do not match in number, or B or A_r
@@ -158,7 +158,7 @@ def equations(mechanism: Mechanism) -> Equations:
     q_a_dot = J_inv @ x_dot  # Eq. 2
 
     def along(expression: Symbol) -> Symbol:
-        """The rate of an expression that depends on positions."""
+        """Return the rate of an expression that depends on positions."""
         return ca.jtimes(expression, ca.vertcat(q_a, x), ca.vertcat(v, x_dot))
 
     b = along(along(closures))  # Eq. 11
@@ -166,8 +166,8 @@ def equations(mechanism: Mechanism) -> Equations:
     rates, opposing = mechanism.passive_friction(q_a, x, v, x_dot, p)
 
     def euler_lagrange(position: Symbol, velocity: Symbol) -> Symbol:
-        """d/dt of dL/dvelocity, less dL/dposition, and the friction of joints without a
-        motor, by its virtual power.
+        """Return d/dt of dL/dvelocity, less dL/dposition, and the friction of joints
+        without a motor, by its virtual power.
         """
         momentum = ca.gradient(L, velocity)
         rate = along(momentum) + ca.jtimes(
@@ -238,8 +238,8 @@ def equations(mechanism: Mechanism) -> Equations:
 
 
 def _loses_rank(matrix: ca.Function) -> bool:
-    """Whether a square matrix has less than full rank at each of some random arguments;
-    not where it has entries that are no number.
+    """Return whether a square matrix has less than full rank at each of some random
+    arguments; not where it has entries that are no number.
     """
     generator = np.random.default_rng(0)
     for _ in range(TRIES):

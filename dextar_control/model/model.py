@@ -70,18 +70,18 @@ class Model:
 
     @classmethod
     def of(cls: type[AnyModel], robot: AnyRobot) -> AnyModel:
-        """The model of a robot's description."""
+        """Return the model of a robot's description."""
         if isinstance(robot, RobotParameters):
             flat = flatten(robot)
             return cls(five_bar_of(flat), flat)
         return cls(robot.mechanism, robot.numbers)
 
     def _bound(self, function: NumericFunction) -> NumericFunction:
-        """A function whose first argument is ``p``, of the others alone."""
+        """Return a function whose first argument is ``p``, of the others alone."""
         return lambda *arguments: function(self.p, *arguments)
 
     def inverse_geometric_model(self, x: Array) -> Array:
-        """q_a (n,), rad or m, of a platform position x (n,), m.
+        """Return q_a (n,), rad or m, of a platform position x (n,), m.
 
         Raises:
             GeometryError: a leg does not reach it.
@@ -93,16 +93,16 @@ class Model:
         return q_a
 
     def type1_distance(self, x: Array) -> float:
-        """Least sine of a leg's angle at a platform position x (n,), m: zero at a
-        Type 1 singularity; nan out of reach.
+        """Return the least sine of a leg's angle at a platform position x (n,), m: zero
+        at a Type 1 singularity; nan out of reach.
         """
         return float(self.place(x).type1[0])
 
     def direct_geometric_model(
         self, q_a: Array, assembly_mode: float | Array, near: Array
     ) -> Array:
-        """The platform position x (n,), m, with sign(s) = assembly_mode, clamped on the
-        locus; nan where the loops do not close.
+        """Return the platform position x (n,), m, with sign(s) = assembly_mode, clamped
+        on the locus; nan where the loops do not close.
 
         Args:
             q_a: active joints, (n,), rad or m.
@@ -123,7 +123,7 @@ class Model:
     def close(
         self, q_a: Array, assembly_mode: float, near: Array | None = None
     ) -> Array:
-        """The platform position x (n,), m, with sign(s) = assembly_mode.
+        """Return the platform position x (n,), m, with sign(s) = assembly_mode.
 
         Args:
             q_a: active joints, (n,), rad or m.
@@ -149,13 +149,35 @@ class Model:
 
 @lru_cache
 def equations_of(mechanism: Mechanism) -> Equations:
-    """The equations of a mechanism, made once."""
+    """Return the equations of a mechanism, made once."""
     return equations(mechanism)
+
+
+def equations_on(
+    mechanism: Mechanism,
+    p: Symbol,
+    x: Symbol,
+    x_dot: Symbol,
+    x_ddot: Symbol | float = 0.0,
+    tau: Symbol | float = 0.0,
+) -> Equations:
+    """Return the equations at a state of the platform, with the joints that it has in
+    the working mode of ``p``.
+
+    Args:
+        mechanism: the equations.
+        p: parameters, as one vector (m,).
+        x, x_dot, x_ddot: of the platform, (n,), m, m/s, m/s^2.
+        tau: input torques, (n,), N m.
+    """
+    q_a = mechanism.inverse_geometric_model(x, mechanism.named(p))
+    return equations_of(mechanism).at(p, q_a, x, x_dot, x_ddot, tau)
 
 
 @lru_cache
 def library_of(mechanism: Mechanism) -> Library:
-    """The functions of a mechanism, made once and compiled where that can be done.
+    """Return the functions of a mechanism, made once and compiled where that can be
+    done.
 
     Raises:
         ParameterError: the mechanism contradicts itself.
@@ -185,7 +207,7 @@ def library_of(mechanism: Mechanism) -> Library:
                 "t_s": e.singular.v_weak,
             },
         ),
-        named("place", {"p": vector, "x": x}, _place(mechanism, e, vector, x)),
+        named("place", {"p": vector, "x": x}, _place(mechanism, vector, x)),
         named(
             "wrenches",
             closed | {"x_ddot": e.x_ddot},
@@ -222,16 +244,9 @@ def library_of(mechanism: Mechanism) -> Library:
     return Library(functions, cache_folder())
 
 
-def _place(
-    mechanism: Mechanism, e: Equations, vector: Symbol, x: Symbol
-) -> dict[str, Symbol]:
-    """The results of ``Model.place``."""
-    at = e.at(
-        vector,
-        mechanism.inverse_geometric_model(x, mechanism.named(vector)),
-        x,
-        ca.SX.zeros(mechanism.n),
-    )
+def _place(mechanism: Mechanism, vector: Symbol, x: Symbol) -> dict[str, Symbol]:
+    """Return the results of ``Model.place``."""
+    at = equations_on(mechanism, vector, x, ca.SX.zeros(mechanism.n))
     return {
         "q_a": at.q_a,
         "A_r": at.A_r,
@@ -244,8 +259,8 @@ def _place(
 
 
 def _closed_near(mechanism: Mechanism, e: Equations) -> ca.Function:
-    """The function that finds the platform of given joints, by Newton's method from a
-    place near it, and its mirror image.
+    """Return the function that finds the platform of given joints, by Newton's method
+    from a place near it, and its mirror image.
     """
     vector, p = mechanism.symbols()
     q_a, near = ca.SX.sym("q_a", mechanism.n), ca.SX.sym("near", mechanism.n)

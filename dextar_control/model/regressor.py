@@ -15,7 +15,7 @@ import numpy as np
 
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.model.equations import Equations
-from dextar_control.model.model import equations_of
+from dextar_control.model.model import equations_of, equations_on
 from dextar_control.symbols.functions import Library, cache_folder, named
 from dextar_control.symbols.types import Array, Symbol
 
@@ -52,7 +52,7 @@ class Unknown(NamedTuple):
 
 @lru_cache
 def unknowns_of(mechanism: Mechanism) -> tuple[Unknown, ...]:
-    """The parameters in which the dynamics are linear and on which no
+    """Return the parameters in which the dynamics are linear and on which no
     geometry depends.
     """
     e = equations_of(mechanism)
@@ -84,8 +84,8 @@ def unknowns_of(mechanism: Mechanism) -> tuple[Unknown, ...]:
 
 
 def sizes_of(mechanism: Mechanism, p: Array) -> Array:
-    """Sizes (k,), in the unknowns' units such as kg, by which these are counted: masses
-    and inertias by the largest in p (m,), others by ``SIZES``.
+    """Return sizes (k,), in the unknowns' units such as kg, by which these are counted:
+    masses and inertias by the largest in p (m,), others by ``SIZES``.
     """
     unknowns = unknowns_of(mechanism)
     largest = {
@@ -100,15 +100,15 @@ def sizes_of(mechanism: Mechanism, p: Array) -> Array:
 
 
 def _gap(e: Equations) -> Symbol:
-    """Force (n,), N, on the platform of motors and friction, less what the motion
-    takes.
+    """Return the force (n,), N, on the platform of motors and friction, less what the
+    motion takes.
     """
     return e.J_inv.T @ (e.tau - e.friction) - e.force
 
 
 @lru_cache
 def regressors(mechanism: Mechanism) -> Library:
-    """The identification's functions, compiled together where that can be done.
+    """Return the identification's functions, compiled together where that can be done.
 
     ``motion`` of (p, q_a, x, q_a_dot, q_a_ddot): x_dot, x_ddot, s, and the rates (n,)
     of the joints. ``gap`` of (p, q_a, x, x_dot, x_ddot, tau): J_inv, inertia (M
@@ -124,13 +124,7 @@ def regressors(mechanism: Mechanism) -> Library:
     x_ddot = ca.solve(e.J_inv, q_a_ddot - moving.drift)
     gap = _gap(e)
     slopes = ca.jacobian(gap, e.p[rows])
-    placed = e.at(
-        e.p,
-        mechanism.inverse_geometric_model(e.x, mechanism.named(e.p)),
-        e.x,
-        e.x_dot,
-        e.x_ddot,
-    )
+    placed = equations_on(mechanism, e.p, e.x, e.x_dot, e.x_ddot)
     needed = placed.inverse_dynamics + placed.friction
     joints = {"p": e.p, "q_a": e.q_a, "x": e.x}
     return Library(

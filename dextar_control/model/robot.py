@@ -59,8 +59,8 @@ class Robot:
 
     @classmethod
     def of(cls, mechanism: Mechanism, values: Mapping[str, object]) -> Robot:
-        """The robot of values by dotted names: the mechanism's parameters, LIMITS, and
-        where the joints have bounds ``joint_min`` and ``joint_max``.
+        """Return the robot of values by dotted names: the mechanism's parameters,
+        LIMITS, and where the joints have bounds ``joint_min`` and ``joint_max``.
 
         Raises:
             ParameterError: a number is missing or out of its bounds, or unknown.
@@ -133,7 +133,7 @@ class Robot:
         )
 
     def replace(self, **changes: object) -> Robot:
-        """A copy with numbers or limits changed, by their dotted names."""
+        """Return a copy with numbers or limits changed, by their dotted names."""
         low, high = self.joint_range
         now = (
             self.numbers
@@ -152,7 +152,7 @@ AnyRobot = RobotParameters | Robot
 
 
 def load_any_robot(path: str | Path) -> Robot:
-    """The robot of a ROS 2 parameter file that names its mechanism, such as
+    """Return the robot of a ROS 2 parameter file that names its mechanism, such as
     ``config/three_rrr.yaml``.
 
     Raises:

@@ -12,8 +12,8 @@ NEWTON_STEPS = 6  # from a guess of the second order: each doubles the digits
 
 
 def mirror_image(mechanism: Mechanism, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
-    """The platform position (n,), m, with -sign(s) that has the same joints as x; near
-    the locus it is near x.
+    """Return the platform position (n,), m, with -sign(s) that has the same joints as
+    x; near the locus it is near x.
 
     Where the mechanism knows no closed form it is found by Newton's method, from where
     the quadratic terms of the closures put it along the weak direction.
@@ -39,7 +39,7 @@ def mirror_image(mechanism: Mechanism, q_a: Symbol, x: Symbol, p: Values) -> Sym
 
 
 def closed_near(mechanism: Mechanism, q_a: Symbol, guess: Symbol, p: Values) -> Symbol:
-    """The platform position (n,), m, that closes the loops, by Newton's method.
+    """Return the platform position (n,), m, that closes the loops, by Newton's method.
 
     Args:
         mechanism: the equations.

@@ -31,9 +31,9 @@ from dextar_control.contract.topics import (
     PHASES,
 )
 from dextar_control.control.supervisor import WATCHES
+from dextar_control.nodekit.job_queue import GivenUp, JobQueue
 from dextar_control.nodekit.node import DextarNode, run_node
 from dextar_control.nodekit.scheduling import stand_back
-from dextar_control.nodekit.worker import GivenUp, JobQueue
 from dextar_control.nodes.newest import NewestSamples
 from dextar_control.nodes.panel_operator import SET, PanelOperator, task_of
 from dextar_control.nodes.scene import Scene, View
@@ -111,7 +111,7 @@ class PanelNode(DextarNode):
         self._scene = Scene(self.robot)
         self._newest = NewestSamples(self)
         self.operator = PanelOperator(self.get_namespace())
-        self._worker = JobQueue()
+        self._jobs = JobQueue()
         self._wanted: object | None = None  # the plan that is looked at
         self._reporting: asyncio.Task[None] | None = None
         self._report: Path | None = None
@@ -224,7 +224,7 @@ class PanelNode(DextarNode):
         def progress(fraction: float, stage: str) -> None:
             if self._wanted is not wanted:
                 raise GivenUp("another plan is wanted")
-            self._worker.progress(fraction, stage)
+            self._jobs.progress(fraction, stage)
 
         def work() -> dict[str, object]:
             progress(0.0, "planning")
@@ -264,7 +264,7 @@ class PanelNode(DextarNode):
             else:
                 told(True, "this can be driven", {"plan": plan})
 
-        self._worker.submit(work, done)
+        self._jobs.submit(work, done)
 
     def _near(self, point: Sequence[float], told: Told) -> None:
         """Find the point of the locus nearest to a place, (2,), m."""
@@ -277,7 +277,7 @@ class PanelNode(DextarNode):
                 {} if found is None else {"point": _rounded(found.x)},
             )
 
-        self._worker.submit(lambda: nearest_point(self.robot, x), done)
+        self._jobs.submit(lambda: nearest_point(self.robot, x), done)
 
     def _origin(self) -> Array | None:
         """Return where the robot stands, (2,), m; None where that is not known."""
@@ -420,7 +420,7 @@ class PanelNode(DextarNode):
                 "reported": self._report is not None,
                 "progress": me.progress,
                 "lines": list(me.lines),
-                "planning": self._worker.stage,
+                "planning": self._jobs.stage,
             },
             keep=True,
         )
@@ -449,7 +449,7 @@ class PanelNode(DextarNode):
         following = time.monotonic()
         while not ended():
             now = time.monotonic()
-            self._worker.poll()
+            self._jobs.poll()
             self.show()
             for work, moment in due.items():
                 if now >= moment:
@@ -460,7 +460,7 @@ class PanelNode(DextarNode):
 
     def close(self) -> None:
         """Let go of the pages; the robot stays to the controller's own rules."""
-        self._worker.close()
+        self._jobs.close()
         self.operator.leave()
         self.diagnose()
 

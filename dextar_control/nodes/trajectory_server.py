@@ -26,9 +26,9 @@ from dextar_control.contract.topics import (
     MAX_TRAJECTORY_POINTS,
     TRAJECTORY,
 )
+from dextar_control.nodekit.job_queue import Done, GivenUp, JobQueue
 from dextar_control.nodekit.node import EXIT_USAGE, DextarNode, qos, run_node
 from dextar_control.nodekit.services import type_of
-from dextar_control.nodekit.worker import Done, GivenUp, JobQueue
 from dextar_control.nodes import messages
 from dextar_control.nodes.next_step import command, why_not
 from dextar_control.nodes.task import Task, in_words, plan_from
@@ -85,7 +85,7 @@ class TrajectoryServer(DextarNode):
         self._error = ""
         self._controller: dict[str, str] = {}
         self._controller_time = -FRESH
-        self._worker = JobQueue()
+        self._jobs = JobQueue()
         self._told = (0.0, "")
         self._starting: object | None = None  # the trip that is planned to be served
         self._trajectory_publisher = self.create_publisher(
@@ -101,7 +101,7 @@ class TrajectoryServer(DextarNode):
         ]
         self.create_service(Trigger, "~/stop", self._on_stop)
         self._waiting = self.values["autostart"]
-        self._worker.submit(self._plan_of(self._task), self._on_first_plan)
+        self._jobs.submit(self._plan_of(self._task), self._on_first_plan)
         self.create_timer(POLL_PERIOD, self._poll, clock=self.steady_clock)
         self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
 
@@ -118,17 +118,17 @@ class TrajectoryServer(DextarNode):
                 taken := service.handle.service_take_request(type_of(service).Request)
             )[1] is not None:
                 answer(service, *taken)
-        self._worker.poll()
+        self._jobs.poll()
         self._tell_progress()
         if self._waiting and self._planned is not None and not self._why_not():
-            self._submit_trip(self._on_autostart)
+            self._submit_trip(self._serve)
             self._waiting = False
 
     def _tell_progress(self) -> None:
-        now, stage = time.monotonic(), self._worker.stage
+        now, stage = time.monotonic(), self._jobs.stage
         if stage and stage != self._told[1] and now - self._told[0] > TELL_PERIOD:
             self._told = now, stage
-            self.get_logger().info(f"planning, {self._worker.fraction:.0%}: {stage}")
+            self.get_logger().info(f"planning, {self._jobs.fraction:.0%}: {stage}")
             self._diagnose()
 
     def _plan_of(
@@ -145,7 +145,7 @@ class TrajectoryServer(DextarNode):
                 plan = known[1]
             else:
                 begin = time.perf_counter()
-                plan = wanted.plan(self.robot, progress or self._worker.progress)
+                plan = wanted.plan(self.robot, progress or self._jobs.progress)
                 self.get_logger().info(
                     f"planned in {time.perf_counter() - begin:.2f} s:"
                     f" {in_words(plan.certificate)}"
@@ -189,7 +189,7 @@ class TrajectoryServer(DextarNode):
         def progress(fraction: float, stage: str) -> None:
             if self._starting is not starting:
                 raise stopped
-            self._worker.progress(fraction, stage)
+            self._jobs.progress(fraction, stage)
 
         def planned(served: ServedTrip | None, error: DextarError | None) -> None:
             if self._starting is starting:
@@ -198,7 +198,7 @@ class TrajectoryServer(DextarNode):
             else:
                 done(None, error or stopped)
 
-        self._worker.submit(self._trip(self._origin(), progress), planned)
+        self._jobs.submit(self._trip(self._origin(), progress), planned)
 
     def _origin(self) -> Array:
         """Return where the robot stands as far as is known, else A; (2,), m."""
@@ -211,10 +211,8 @@ class TrajectoryServer(DextarNode):
         self._trajectory_publisher.publish(served.message)
         self._served += 1
         self._error = ""
-        text = (
-            f"served {len(served.message.points)} points over"
-            f" {served.certificate.duration:.3f} s"
-        )
+        points, duration = len(served.message.points), served.certificate.duration
+        text = f"served {points} points over {duration:.3f} s"
         self.get_logger().info(text)
         self._diagnose(whole=True)
         return text
@@ -267,13 +265,9 @@ class TrajectoryServer(DextarNode):
             return
         self._take(planned)
 
-    def _on_autostart(
-        self, served: ServedTrip | None, error: DextarError | None
-    ) -> None:
-        if served is None:
-            self._note(error)
-        else:
-            self._publish(served)
+    def _serve(self, served: ServedTrip | None, error: DextarError | None) -> str:
+        """Publish a trip, or log why there is none; return that in words."""
+        return self._note(error) if served is None else self._publish(served)
 
     def _take(self, planned: tuple[Task, Plan] | None) -> None:
         if planned is not None:
@@ -300,11 +294,11 @@ class TrajectoryServer(DextarNode):
                 Trigger.Response(success=planned is not None, message=message), header
             )
 
-        self._worker.submit(self._plan_of(self._task), done)
+        self._jobs.submit(self._plan_of(self._task), done)
 
     def _on_start(self, service: Service, _: Trigger.Request, header: object) -> None:
         def done(served: ServedTrip | None, error: DextarError | None) -> None:
-            message = self._note(error) if served is None else self._publish(served)
+            message = self._serve(served, error)
             service.send_response(
                 Trigger.Response(success=served is not None, message=message), header
             )
@@ -341,8 +335,8 @@ class TrajectoryServer(DextarNode):
                 )
             service.send_response(response, header)
 
-        self._worker.submit(
-            lambda: wanted.plan_between(self.robot, start, goal, self._worker.progress),
+        self._jobs.submit(
+            lambda: wanted.plan_between(self.robot, start, goal, self._jobs.progress),
             done,
         )
 
@@ -358,8 +352,8 @@ class TrajectoryServer(DextarNode):
         """Publish how far planning is, and the certificate; with ``whole`` all its
         crossings, however many.
         """
-        worker = self._worker
-        planning = f"{worker.fraction:.0%}, {worker.stage}" if worker.stage else ""
+        jobs = self._jobs
+        planning = f"{jobs.fraction:.0%}, {jobs.stage}" if jobs.stage else ""
         values: dict[str, object] = {
             "served": self._served,
             "error": self._error,
@@ -390,7 +384,7 @@ class TrajectoryServer(DextarNode):
         """Give up a plan under way, publish diagnostics, and make the drawing that
         nobody waited for.
         """
-        self._worker.close()
+        self._jobs.close()
         self._diagnose()
         if (
             self.values["autostart"]

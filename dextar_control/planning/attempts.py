@@ -42,8 +42,8 @@ SETTLED = 0.01  # of the duration, below which it is not stretched again
 
 
 def scale_of(duration: float | None, length: float) -> float:
-    """The duration, s, at which a way of some length, m, is searched: the duration
-    asked for, or where it is open one for the length.
+    """Return the duration, s, at which a way of some length, m, is searched: the
+    duration asked for, or where it is open one for the length.
 
     Raises:
         TrajectoryError: the one asked for is not positive.
@@ -113,7 +113,7 @@ class Best:
         stretch: bool,
         other_point: Callable[[], LocusPoint | None] = lambda: None,
     ) -> Plan:
-        """The best plan.
+        """Return the best plan.
 
         Args:
             what: is planned, in messages.
@@ -152,9 +152,9 @@ class Best:
 
 
 def scalable(model: Model, trajectory: Trajectory) -> bool:
-    """Whether a trajectory keeps the criterion when its time is scaled or reversed: the
-    robot needs no torque at rest where it starts and ends, and its passive joints have
-    no friction.
+    """Return whether a trajectory keeps the criterion when its time is scaled or
+    reversed: the robot needs no torque at rest where it starts and ends, and its
+    passive joints have no friction.
     """
     rest, motion = np.zeros(model.n), np.ones(model.n)
     for x in (trajectory.at(0.0).x, trajectory.at(trajectory.duration).x):
@@ -181,8 +181,8 @@ def _checked(robot: AnyRobot, trajectory: Trajectory) -> Plan:
 
 
 def _needed(robot: AnyRobot, seen: Certificate, torque: float) -> float:
-    """The factor of its duration at which a way keeps a torque, N m, and the speed
-    limits.
+    """Return the factor of its duration at which a way keeps a torque, N m, and the
+    speed limits.
     """
     return max(
         float(np.sqrt(seen.peak_torque / torque)),
@@ -192,8 +192,8 @@ def _needed(robot: AnyRobot, seen: Certificate, torque: float) -> float:
 
 
 def _stretched(robot: AnyRobot, found: Attempt) -> Plan:
-    """The plan of an attempt at the duration at which its peak torque is TORQUE_SHARE
-    of the limit.
+    """Return the plan of an attempt at the duration at which its peak torque is
+    TORQUE_SHARE of the limit.
     """
     problem, z = found.problem, found.z
     duration, trajectory = problem.task.duration, trajectory_of(problem, z)
@@ -214,8 +214,8 @@ def _stretched(robot: AnyRobot, found: Attempt) -> Plan:
 
 
 def _nearest_duration(robot: AnyRobot, found: Attempt) -> float | None:
-    """The least duration, s, at which an attempt's way works; None where more than its
-    torque or speed is in the way.
+    """Return the least duration, s, at which an attempt's way works; None where more
+    than its torque or speed is in the way.
     """
     problem, z = found.problem, found.z
     seen = measure(robot, trajectory_of(problem, z))

@@ -39,7 +39,7 @@ OPEN = ("split", "velocity", "strong", "jerk")
 
 
 def _ends(robot: AnyRobot, start: Array, goal: Array) -> tuple[float, float]:
-    """s at start and goal, both checked.
+    """Return s at start and goal, both checked.
 
     Raises:
         GeometryError: one is unreachable or too near to Type 1 or Type 2.
@@ -143,8 +143,8 @@ def _parts(
     sides: tuple[float, float],
     place: LocusPoint | None,
 ) -> tuple[Array, Array]:
-    """The places (m, n), m, of a way from start to goal before and after its crossing;
-    the ends alone where there are no ``Regions``.
+    """Return the places (m, n), m, of a way from start to goal before and after its
+    crossing; the ends alone where there are no ``Regions``.
 
     Raises:
         TrajectoryError: Type 1 parts start and goal.
@@ -177,7 +177,7 @@ def _parts(
 def _guess(
     problem: Problem, point: LocusPoint, before: Array, after: Array, bent: bool
 ) -> Record:
-    """The variables of a way given by its places (m, n), m, before and after the
+    """Return the variables of a way given by its places (m, n), m, before and after the
     crossing, bent along them or straight.
     """
     unit = problem.task.length
@@ -204,8 +204,8 @@ def _guess(
 
 
 def _bends(way: Array) -> Array:
-    """Bends (n, 2), m: the first bump takes the middle of the straight way to the
-    middle of this way (m, n), m; the second is zero.
+    """Return bends (n, 2), m: the first bump takes the middle of the straight way to
+    the middle of this way (m, n), m; the second is zero.
     """
     reached = lengths_along(way)
     middle = np.array([np.interp(0.5 * reached[-1], reached, along) for along in way.T])

@@ -85,7 +85,7 @@ class Layouts(NamedTuple):
 
 @lru_cache
 def layouts(n: int) -> Layouts:
-    """The layouts for n degrees of freedom."""
+    """Return the layouts for n degrees of freedom."""
     bends = (
         Field("first_bends", "1", "heights of the bumps of the first half", n, 2),
         Field("second_bends", "1", "and of the second", n, 2),
@@ -187,8 +187,8 @@ def layouts(n: int) -> Layouts:
 
 
 def half(n: int) -> ca.Function:
-    """The function that gives the coefficients (n, ROWS) of a half by rising power of
-    the share of its span, for n degrees of freedom.
+    """Return the function that gives the coefficients (n, ROWS) of a half by rising
+    power of the share of its span, for n degrees of freedom.
 
     It takes ``begin`` and ``end``, (n, 4) columns x, x_dot, x_ddot, jerk; ``span``, s,
     which may be < 0; and ``bends``, (n, 2) heights of the bumps, m, one column a bump.
@@ -218,8 +218,8 @@ def half(n: int) -> ca.Function:
 
 
 def candidates(mechanism: Mechanism, e: Equations) -> list[ca.Function]:
-    """The functions ``half``, ``crossing`` and ``leg``: the halves of a candidate, and
-    what its variables cost by themselves.
+    """Return the functions ``half``, ``crossing`` and ``leg``: the halves of a
+    candidate, and what its variables cost by themselves.
     """
     layout, curve = layouts(mechanism.n), half(mechanism.n)
     parts = _crossing(mechanism, e, layout), _leg(e.p, layout)
@@ -233,7 +233,7 @@ def candidates(mechanism: Mechanism, e: Equations) -> list[ca.Function]:
 
 
 def _crossing(mechanism: Mechanism, e: Equations, layout: Layouts) -> ca.Function:
-    """The ends, bends and spans of the halves of a crossing."""
+    """Return the ends, bends and spans of the halves of a crossing."""
     given, task = layout.crossing_task.symbols("task")
     free, z = layout.crossing.symbols("variables")
     unit, p = task["length"] / task["duration"], mechanism.named(e.p)
@@ -276,7 +276,7 @@ def _crossing(mechanism: Mechanism, e: Equations, layout: Layouts) -> ca.Functio
 
 
 def _leg(p: Symbol, layout: Layouts) -> ca.Function:
-    """The ends, bends and spans of the halves of a leg."""
+    """Return the ends, bends and spans of the halves of a leg."""
     limits, limit = layout.limits.symbols()
     given, task = layout.leg_task.symbols("task")
     free, z = layout.leg.symbols("variables")
@@ -309,7 +309,7 @@ def _leg(p: Symbol, layout: Layouts) -> ca.Function:
 
 
 def _parts(arguments: list[Symbol], results: dict[str, Symbol]) -> ca.Function:
-    """The function of these results, differentiable by the variables alone."""
+    """Return the function of these results, differentiable by the variables alone."""
     only = [False] * (len(arguments) - 1) + [True]
     return ca.Function(
         "parts",
@@ -322,7 +322,7 @@ def _parts(arguments: list[Symbol], results: dict[str, Symbol]) -> ca.Function:
 
 
 def _joined(name: str, parts: ca.Function, curve: ca.Function) -> ca.Function:
-    """The function that gives a candidate's halves."""
+    """Return the function that gives a candidate's halves."""
     arguments = [
         ca.MX.sym(given, parts.size1_in(i)) for i, given in enumerate(ARGUMENTS)
     ]
@@ -351,7 +351,7 @@ def _excess(value: Symbol | float, limit: Symbol | float) -> Symbol:
 
 
 def _instant(mechanism: Mechanism, e: Equations) -> tuple[ca.Function, ca.Function]:
-    """The functions of what one sample of a candidate costs (load, near, broken,
+    """Return the functions of what one sample of a candidate costs (load, near, broken,
     reached), and of what its end costs.
     """
     p, layout = mechanism.named(e.p), layouts(mechanism.n).limits
@@ -392,8 +392,8 @@ def _instant(mechanism: Mechanism, e: Equations) -> tuple[ca.Function, ca.Functi
 
 
 def _basis(order: int) -> ca.DM:
-    """The powers of the samples' fractions, (ROWS, samples), differentiated ``order``
-    times.
+    """Return the powers of the samples' fractions, (ROWS, samples), differentiated
+    ``order`` times.
     """
     rows = [
         np.polyder(np.poly1d([1.0] + [0.0] * power), order)(_FRACTIONS)
@@ -405,8 +405,8 @@ def _basis(order: int) -> ca.DM:
 def costs(
     mechanism: Mechanism, e: Equations, made: list[ca.Function]
 ) -> list[ca.Function]:
-    """The functions ``crossing_cost`` and ``leg_cost``: a candidate's cost and its
-    gradient over the variables.
+    """Return the functions ``crossing_cost`` and ``leg_cost``: a candidate's cost and
+    its gradient over the variables.
 
     The cost is its peak torque, its time near the locus, and what it breaks. A torque
     counts more near the locus and beyond what costs one: each comes a little late, and

@@ -68,8 +68,8 @@ class Certificate(NamedTuple):
     joint: Coordinate = Coordinate("q_a", "rad")
 
     def to_dict(self) -> dict[str, object]:
-        """The extremes and the crossings in plain numbers and lists, as they travel
-        with the trajectory.
+        """Return the extremes and the crossings in plain numbers and lists, as they
+        travel with the trajectory.
         """
         found: dict[str, object] = {
             name: value
@@ -79,11 +79,11 @@ class Certificate(NamedTuple):
         return found | {"crossings": [one._asdict() for one in self.crossings]}
 
     def to_json(self) -> str:
-        """``to_dict`` as JSON; a number that does not exist is null."""
+        """Return ``to_dict`` as JSON; a number that does not exist is null."""
         return json.dumps(as_plain(self.to_dict()), allow_nan=False)
 
     def lines(self) -> list[str]:
-        """The certificate in words, one fact a line."""
+        """Return the certificate in words, one fact a line."""
         text = [
             f"duration {self.duration:.3f} s, peak torque {self.peak_torque:.4f}"
             f" {self.joint.effort_unit}, peak joint speed {self.peak_joint_speed:.2f}"
@@ -118,8 +118,8 @@ class Plan(NamedTuple):
 def measure(
     robot: AnyRobot, trajectory: Trajectory, period: float = 1e-3
 ) -> Certificate:
-    """The certificate of a trajectory, whose limits are not checked; its samples are at
-    most ``period``, s, apart.
+    """Return the certificate of a trajectory, whose limits are not checked; its samples
+    are at most ``period``, s, apart.
     """
     times = sample_times(trajectory, period)
     rough = sample_profile(robot, trajectory, times)
@@ -168,7 +168,7 @@ def measure(
 def _crossing(
     robot: AnyRobot, profile: Profile, row: int, block: int, sign: float
 ) -> Crossing:
-    """The crossing of a block at one row of a profile."""
+    """Return the crossing of a block at one row of a profile."""
     model, s = states_model(robot), profile.s_blocks[:, block]
     x, x_dot = profile.x[row], profile.x_dot[row]
     found, far = model.place(x), np.flatnonzero(np.abs(s) >= NEAR_LOCUS)

@@ -106,8 +106,8 @@ def certify(
 
 
 def _passive_friction(robot: AnyRobot, profile: Profile, row: int) -> str:
-    """The part of a sentence that says how much friction of joints without a motor
-    takes along t_s on the locus; "" without such friction.
+    """Return the part of a sentence that says how much friction of joints without a
+    motor takes along t_s on the locus; "" without such friction.
     """
     model, q_a, x = Model.of(robot), profile.q_a[row], profile.x[row]
     there, back = (
@@ -125,8 +125,8 @@ def _passive_friction(robot: AnyRobot, profile: Profile, row: int) -> str:
 
 
 def beyond_range(robot: AnyRobot, q_a: Array) -> Array:
-    """The distance of each active joint (..., n), rad (m), from its range, rad (m);
-    negative inside.
+    """Return the distance of each active joint (..., n), rad (m), from its range, rad
+    (m); negative inside.
 
     An angle counts on any turn: a range of a whole turn is no bound.
     """
@@ -180,9 +180,9 @@ def check_rest(trajectory: Trajectory) -> None:
 
 
 def clear_times(certificate: Certificate, index: int) -> tuple[float, float]:
-    """The times, s, before and after a planned crossing at which the plan is clear of
-    the locus: its |s| is SIDE there, or the largest that it has before the neighbouring
-    crossings.
+    """Return the times, s, before and after a planned crossing at which the plan is
+    clear of the locus: its |s| is SIDE there, or the largest that it has before the
+    neighbouring crossings.
     """
     time, s = certificate.profile.time, certificate.profile.s
     neighbours = [time[0], *certificate.crossing_times.tolist(), time[-1]]
@@ -193,5 +193,5 @@ def clear_times(certificate: Certificate, index: int) -> tuple[float, float]:
 
 
 def _clear_row(clearance: Array) -> int:
-    """The first row of |s| (m,) that is SIDE, or else the largest."""
+    """Return the first row of |s| (m,) that is SIDE, or else the largest."""
     return int(np.argmax(np.minimum(clearance, SIDE))) if len(clearance) else 0

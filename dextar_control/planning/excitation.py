@@ -136,8 +136,8 @@ def plan_excitation(
 
 
 def _worth(known: Array, loop: ExcitingLoop) -> float:
-    """The growth of ln det of the information (k, k) that a loop brings, over its
-    period, 1/s.
+    """Return the growth of ln det of the information (k, k) that a loop brings, over
+    its period, 1/s.
     """
     grown = np.linalg.slogdet(known + loop.information)[1] - np.linalg.slogdet(known)[1]
     return float(grown / loop.period)
@@ -155,8 +155,8 @@ class _Search:
         self._harmonics = np.arange(1, HARMONICS + 1)
 
     def loop(self, raw: Array) -> list[ExcitingLoop]:
-        """The loop with these coefficients (2, HARMONICS, n), as wide, m, and as fast
-        as the limits allow; none where none is clear.
+        """Return the loop with these coefficients (2, HARMONICS, n), as wide, m, and as
+        fast as the limits allow; none where none is clear.
         """
         a, b = raw
         k = self._harmonics[:, None]
@@ -186,7 +186,7 @@ class _Search:
         return [ExcitingLoop(wide, period, rows.T @ rows * (RATE * period / SAMPLES))]
 
     def motion(self, loop: ExcitingLoop) -> Trajectory:
-        """A loop as a trajectory, from rest to rest."""
+        """Return a loop as a trajectory, from rest to rest."""
         count = max(int(np.ceil(loop.period / KNOT)), SAMPLES)
         rate, phases = 2.0 * np.pi / loop.period, 2.0 * np.pi * np.arange(count + 1)
         x, x_dot, x_ddot = self._table(loop.coefficients, phases / count)
@@ -200,7 +200,7 @@ class _Search:
         )
 
     def _table(self, coefficients: Array, phases: Array) -> tuple[Array, Array, Array]:
-        """(places from the start (m, n), m, first and second derivative by
+        """Return (places from the start (m, n), m, first and second derivative by
         the phase).
         """
         a, b = coefficients
@@ -224,8 +224,8 @@ class _Search:
         )
 
     def _period(self, coefficients: Array) -> float:
-        """The shortest period, s, at which the motion keeps its shares of the limits;
-        inf where there is none.
+        """Return the shortest period, s, at which the motion keeps its shares of the
+        limits; inf where there is none.
         """
         period = LEAST_PERIOD
         for _ in range(6):

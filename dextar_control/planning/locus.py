@@ -67,8 +67,8 @@ class Arc(NamedTuple):
 def rests_around(
     model: PlanningModel, points: Array, clear: float, least_s: float
 ) -> list[Array]:
-    """Places for a rest straight ahead of locus points: of each point, (k, n + 2) x,
-    m, s and distance to Type 1.
+    """Return places for a rest straight ahead of locus points: of each point, (k, n +
+    2) x, m, s and distance to Type 1.
 
     The straight line from the point to a place keeps the sign of s and the distance
     ``clear`` from Type 1; in each direction the farthest place within REST_REACH counts
@@ -100,8 +100,8 @@ def rests_around(
 
 @lru_cache
 def _directions(n: int) -> Array:
-    """Unit vectors (k, n), 1, in all directions: evenly in the plane, at random but
-    always the same in more dimensions.
+    """Return the unit vectors (k, n), 1, in all directions: evenly in the plane, at
+    random but always the same in more dimensions.
     """
     if n == 2:
         turns = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
@@ -113,8 +113,8 @@ def _directions(n: int) -> Array:
 def are_crossable(
     model: PlanningModel, points: Array, clear: float
 ) -> NDArray[np.bool_]:
-    """Whether there is a place for a rest straight ahead on both sides of each locus
-    point (m, n), m.
+    """Return whether there is a place for a rest straight ahead on both sides of each
+    locus point (m, n), m.
     """
     sides = [rests[:, -2] for rests in rests_around(model, points, clear, REST_S)]
     return np.array([bool((s > 0.0).any() and (s < 0.0).any()) for s in sides], bool)
@@ -127,8 +127,8 @@ def trace_locus(
     type1: float = MIN_CROSSING_TYPE1,
     crossable: bool = False,
 ) -> list[Arc]:
-    """The locus in connected arcs, each in one working mode and at least ``type1`` from
-    Type 1.
+    """Return the locus in connected arcs, each in one working mode and at least
+    ``type1`` from Type 1.
 
     Args:
         robot: whose working mode does not matter.
@@ -172,7 +172,7 @@ def _passable(
     fit: NDArray[np.bool_],
     type1: float,
 ) -> NDArray[np.bool_]:
-    """Which traced points (m, n), m, lie between two thinned ones that can be
+    """Return which traced points (m, n), m, lie between two thinned ones that can be
     crossed.
     """
     seen = np.zeros(len(x), dtype=bool)
@@ -189,12 +189,12 @@ def _passable(
 
 
 def _point_on_arc(robot: RobotParameters, arc: Arc, length: float) -> LocusPoint:
-    """The point of an arc at a length from its begin, m."""
+    """Return the point of an arc at a length from its begin, m."""
     return _point_at(robot, arc, float(np.interp(length, arc.length, arc.angles)))
 
 
 def _point_at(robot: RobotParameters, arc: Arc, angle: float) -> LocusPoint:
-    """The point of an arc at a tracing angle, rad."""
+    """Return the point of an arc at a tracing angle, rad."""
     model = planning_model(robot.replace(working_mode=arc.working_mode))
     x = _position(model, arc, angle)
     at = model.place(x)
@@ -204,13 +204,13 @@ def _point_at(robot: RobotParameters, arc: Arc, angle: float) -> LocusPoint:
 
 
 def _position(model: PlanningModel, arc: Arc, angle: float) -> Array:
-    """The point (n,), m, of an arc at a tracing angle, rad."""
+    """Return the point (n,), m, of an arc at a tracing angle, rad."""
     x: Array = model.locus([arc.family.value], [arc.branch], np.array([[angle]])).x[0]
     return x
 
 
 def nearest_point(robot: AnyRobot, x: Array, type1: float | None = None) -> LocusPoint:
-    """The point of the locus nearest to x (n,), m, in the robot's working mode.
+    """Return the point of the locus nearest to x (n,), m, in the robot's working mode.
 
     Where the locus is not traced the point is found along the gradient of s, which
     leads to the nearest one from near it.
@@ -250,8 +250,8 @@ def nearest_point(robot: AnyRobot, x: Array, type1: float | None = None) -> Locu
 
 
 def _nearest_by_gradient(robot: Robot, x: Array, type1: float) -> LocusPoint:
-    """The point near x (n,), m, by projections on the tangent of the locus, until s is
-    zero to rounding.
+    """Return the point near x (n,), m, by projections on the tangent of the locus,
+    until s is zero to rounding.
     """
     model, place = planning_model(robot), x
     longest = LONGEST_STEP * model.length
@@ -288,7 +288,8 @@ def spread_places(
     type1: float = MIN_CROSSING_TYPE1,
     seed: int = 0,
 ) -> list[LocusPoint]:
-    """Points of the locus that can be crossed, far from each other, of any mechanism.
+    """Return points of the locus that can be crossed, far from each other, of any
+    mechanism.
 
     Args:
         robot: of any mechanism, in its working mode.
@@ -328,7 +329,7 @@ def spread_places(
 
 
 def locus_point(robot: AnyRobot, x: Array) -> LocusPoint:
-    """The locus point at x (n,), m, in the robot's working mode.
+    """Return the locus point at x (n,), m, in the robot's working mode.
 
     Raises:
         GeometryError: x is unreachable or farther than ON_LOCUS from the locus; names
@@ -351,8 +352,8 @@ def locus_point(robot: AnyRobot, x: Array) -> LocusPoint:
 
 
 def place_of(robot: AnyRobot, point: LocusPoint | Array) -> LocusPoint:
-    """A locus point as it is, or that at a position (n,), m, in the robot's working
-    mode.
+    """Return a locus point as it is, or that at a position (n,), m, in the robot's
+    working mode.
 
     Raises:
         GeometryError: the position is off the locus, or the point belongs to another
@@ -370,8 +371,8 @@ def place_of(robot: AnyRobot, point: LocusPoint | Array) -> LocusPoint:
 
 
 def beside(robot: AnyRobot, point: LocusPoint, shift: float) -> LocusPoint | None:
-    """The locus point at a signed distance, m, along the arc of another; None where the
-    arc ends or the locus is not traced.
+    """Return the locus point at a signed distance, m, along the arc of another; None
+    where the arc ends or the locus is not traced.
     """
     if not isinstance(robot, RobotParameters):
         return None
@@ -385,8 +386,8 @@ def beside(robot: AnyRobot, point: LocusPoint, shift: float) -> LocusPoint | Non
 
 
 def _shares(lengths: Array, count: int, least: Array) -> Array:
-    """Shares (m,) of ``count`` in proportion to lengths (m,), m, each at least that of
-    ``least`` (m,), by largest remainders.
+    """Return shares (m,) of ``count`` in proportion to lengths (m,), m, each at least
+    that of ``least`` (m,), by largest remainders.
     """
     share = np.maximum(least, 0)
     while share.sum() < count:
@@ -403,8 +404,8 @@ def sample_locus(
     folded: int = 0,
     working_modes: Sequence[Mode] = WORKING_MODES,
 ) -> list[LocusPoint]:
-    """Points spread evenly over the locus where it can be crossed, in several working
-    modes.
+    """Return points spread evenly over the locus where it can be crossed, in several
+    working modes.
 
     They are spread by arc length within each family of each working mode, with a random
     phase; each working mode that reaches the locus has at least one point.

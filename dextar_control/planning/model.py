@@ -13,7 +13,7 @@ import casadi as ca
 
 from dextar_control.mechanisms.five_bar_locus import FiveBarLocus
 from dextar_control.mechanisms.mechanism import Mechanism
-from dextar_control.model.model import Model, equations_of
+from dextar_control.model.model import Model, equations_of, equations_on
 from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.candidate import candidates, costs, layouts
 from dextar_control.symbols.functions import Library, cache_folder, named
@@ -47,7 +47,9 @@ class StatesModel(Model):
         self.side = self._bound(library.fast("sides"))
 
     def s(self, x: Array) -> float:
-        """s of a platform position x (n,), m, in the working mode; nan out of reach."""
+        """Return s of a platform position x (n,), m, in the working mode; nan out of
+        reach.
+        """
         return float(self.side(x).s[0])
 
 
@@ -80,12 +82,12 @@ class PlanningModel(StatesModel):
 
 
 def states_model(robot: AnyRobot) -> StatesModel:
-    """The ``StatesModel`` of a robot, one for each thread."""
+    """Return the ``StatesModel`` of a robot, one for each thread."""
     return _own(StatesModel, robot)
 
 
 def planning_model(robot: AnyRobot) -> PlanningModel:
-    """The ``PlanningModel`` of a robot, one for each thread."""
+    """Return the ``PlanningModel`` of a robot, one for each thread."""
     return _own(PlanningModel, robot)
 
 
@@ -97,13 +99,15 @@ def _own(kind: type[AnyStates], robot: AnyRobot) -> AnyStates:
 
 
 def states_library(mechanism: Mechanism) -> Library:
-    """The functions of ``StatesModel``, made once, compiled where that can be done."""
+    """Return the functions of ``StatesModel``, made once, compiled where that can be
+    done.
+    """
     with _building:
         return _states_library(mechanism)
 
 
 def planning_library(mechanism: Mechanism) -> Library:
-    """The other functions of ``PlanningModel``, likewise."""
+    """Return the other functions of ``PlanningModel``, likewise."""
     with _building:
         return _planning_library(mechanism)
 
@@ -111,13 +115,7 @@ def planning_library(mechanism: Mechanism) -> Library:
 @lru_cache
 def _states_library(mechanism: Mechanism) -> Library:
     e = equations_of(mechanism)
-    at = e.at(
-        e.p,
-        mechanism.inverse_geometric_model(e.x, mechanism.named(e.p)),
-        e.x,
-        e.x_dot,
-        e.x_ddot,
-    )
+    at = equations_on(mechanism, e.p, e.x, e.x_dot, e.x_ddot)
     place = {"p": e.p, "x": e.x}
     side = {"q_a": at.q_a, "s": at.s, "s_blocks": at.s_blocks, "type1": at.type1}
     return Library(

@@ -52,7 +52,7 @@ __all__ = [
 
 
 def robot_at(robot: RobotParameters, point: LocusPoint) -> RobotParameters:
-    """The robot in the working mode of a locus point."""
+    """Return the robot in the working mode of a locus point."""
     return robot.replace(working_mode=point.working_mode)
 
 
@@ -160,8 +160,8 @@ def _there_and_back(
     repeat: int,
     way: Callable[[Array, Array], Plan],
 ) -> Plan:
-    """The plan out and back: by the time reversal of the way out where that is allowed,
-    by a way of its own otherwise.
+    """Return the plan out and back: by the time reversal of the way out where that is
+    allowed, by a way of its own otherwise.
     """
     start, goal = out.at(0.0).x, out.at(out.duration).x
 

@@ -40,7 +40,7 @@ class Profile(NamedTuple):
 
 
 def sample_times(trajectory: Trajectory, period: float) -> Array:
-    """Times (m,), s, at most ``period`` apart, with every knot among them."""
+    """Return times (m,), s, at most ``period`` apart, with every knot among them."""
     count = int(np.ceil(trajectory.duration / period - 1e-9)) + 1
     grid = np.linspace(0.0, trajectory.duration, max(count, 2))
     knots = trajectory.knots
@@ -53,7 +53,7 @@ def sample_times(trajectory: Trajectory, period: float) -> Array:
 
 
 def sample_profile(robot: AnyRobot, trajectory: Trajectory, times: Array) -> Profile:
-    """The profile of a trajectory at times (m,), s.
+    """Return the profile of a trajectory at times (m,), s.
 
     Within LIMIT_ZONE of the locus the multipliers are continued from either side of the
     crossing by a parabola: towards the value they tend to when the criterion holds.
@@ -99,8 +99,8 @@ def _continued(
     around: tuple[int, int],
     inside: Array,
 ) -> Array:
-    """The multipliers (k, n) at the times ``inside`` (k,), s, between the two rows
-    ``around`` a crossing, continued from its neighbourhood.
+    """Return the multipliers (k, n) at the times ``inside`` (k,), s, between the two
+    rows ``around`` a crossing, continued from its neighbourhood.
     """
     first, last = around
     turn = first + int(np.argmax(s[first:last] * s[first + 1 : last + 1] <= 0.0))
@@ -123,8 +123,8 @@ def _continued(
 def find_crossings(
     robot: AnyRobot, trajectory: Trajectory, times: Array, s: Array, block: int
 ) -> list[float]:
-    """The instants, s, at which a block's s changes sign, by bisection to machine
-    precision.
+    """Return the instants, s, at which a block's s changes sign, by bisection to
+    machine precision.
 
     Args:
         robot: of the trajectory.

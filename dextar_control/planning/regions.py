@@ -42,7 +42,7 @@ class Regions(NamedTuple):
 
 @lru_cache(maxsize=32)
 def make_regions(robot: RobotParameters) -> Regions:
-    """The regions of the robot's working mode."""
+    """Return the regions of the robot's working mode."""
     from scipy.ndimage import label  # here: it takes longer to load than all else
 
     low, high = planning_model(robot).workspace
@@ -86,8 +86,8 @@ def make_regions(robot: RobotParameters) -> Regions:
 
 
 def cell_of(regions: Regions, x: Array, sign: float) -> int | None:
-    """The nearest cell to x (2,), m, on the side ``sign`` of the locus, within ENTRY
-    cells; None when there is none.
+    """Return the nearest cell to x (2,), m, on the side ``sign`` of the locus, within
+    ENTRY cells; None when there is none.
     """
     middle = np.round((x - regions.origin) / SPACING).astype(int)
     low, high = (
@@ -108,8 +108,8 @@ def cell_of(regions: Regions, x: Array, sign: float) -> int | None:
 
 
 def region_of(regions: Regions, x: Array, sign: float) -> int:
-    """The number of the region at x (2,), m, on the side ``sign`` of the locus; 0 when
-    there is none.
+    """Return the number of the region at x (2,), m, on the side ``sign`` of the locus;
+    0 when there is none.
     """
     cell = cell_of(regions, x, sign)
     return 0 if cell is None else int(regions.region.flat[cell])
@@ -123,8 +123,8 @@ def find_way(
     goal_sign: float,
     least_s: float = 0.0,
 ) -> tuple[Array, int] | None:
-    """The way (n, 2), m, from start to goal that changes sides once, or never when both
-    are on one side.
+    """Return the way (n, 2), m, from start to goal that changes sides once, or never
+    when both are on one side.
 
     Args:
         least_s: |s| kept where both ends lie on one side.

@@ -26,7 +26,7 @@ TIGHTENINGS = 6  # of the pace, each to what the torque asks for
 
 
 def side_of(robot: AnyRobot, name: str, x: Array) -> float:
-    """s of the place where a motion starts or ends.
+    """Return s of the place where a motion starts or ends.
 
     Args:
         robot: of the motion.
@@ -83,8 +83,8 @@ def straight(start: Array, goal: Array, speed: float) -> Trajectory:
 
 
 def spline(places: Array, speed: float) -> Trajectory:
-    """The motion through places (m, 2), m, four at least, at a peak speed, m/s: rest to
-    rest, with zero jerk at both ends.
+    """Return the motion through places (m, 2), m, four at least, at a peak speed, m/s:
+    rest to rest, with zero jerk at both ends.
     """
     # here: it takes longer to load than all else
     from scipy.interpolate import PPoly, make_interp_spline
@@ -122,8 +122,8 @@ def _clear(robot: AnyRobot, motion: Trajectory) -> bool:
 
 
 def _paced(robot: AnyRobot, motion: Trajectory) -> Trajectory:
-    """The motion, slowed down until it takes BUSY_TORQUE of the torque limit (or as
-    little as gravity lets it).
+    """Return the motion, slowed down until it takes BUSY_TORQUE of the torque limit (or
+    as little as gravity lets it).
     """
     limit = BUSY_TORQUE * robot.max_torque
     for _ in range(TIGHTENINGS):
@@ -177,8 +177,8 @@ def plan_approach(
 
 
 def _thinned(way: Array, stride: int) -> Array:
-    """Every ``stride``-th of the places (m, 2), m, with both ends: at least four, none
-    closer to an end than a cell.
+    """Return every ``stride``-th of the places (m, 2), m, with both ends: at least
+    four, none closer to an end than a cell.
     """
     inner = way[1:-1][
         (np.hypot(*(way[1:-1] - way[0]).T) > SPACING)

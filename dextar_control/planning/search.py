@@ -77,17 +77,19 @@ class Problem(NamedTuple):
         return self.model.layouts.leg if self.leg else self.model.layouts.crossing
 
     def lasting(self, duration: float) -> Problem:
-        """The same problem with another duration, s."""
+        """Return the same problem with another duration, s."""
         task = self.task.copy()
         task.duration = duration
         return self._replace(task=task)
 
     def opened(self, *names: str) -> Problem:
-        """The same problem with these variables open too."""
+        """Return the same problem with these variables open too."""
         return self._replace(free=np.union1d(self.free, self.variables.indices(*names)))
 
     def costs(self, z: Record) -> tuple[float, Array]:
-        """The cost of a candidate, and its gradient (size,) over all variables, 1."""
+        """Return the cost of a candidate, and its gradient (size,) over all variables,
+        1.
+        """
         function = self.model.leg_cost if self.leg else self.model.crossing_cost
         found = function(self.limits.numbers, self.task.numbers, z.numbers)
         cost, gradient = float(found.cost[0]), found.gradient
@@ -96,8 +98,8 @@ class Problem(NamedTuple):
         return IMPOSSIBLE, np.zeros(len(gradient))
 
     def halves(self, z: Record) -> Results:
-        """The halves of a candidate, first and second (n, ROWS), and their spans (2,),
-        s.
+        """Return the halves of a candidate, first and second (n, ROWS), and their spans
+        (2,), s.
         """
         function = self.model.leg if self.leg else self.model.crossing
         return function(self.limits.numbers, self.task.numbers, z.numbers)
@@ -106,7 +108,7 @@ class Problem(NamedTuple):
 def soft_limits(
     robot: AnyRobot, end_s: float, locus_time: float = LOCUS_TIME
 ) -> Record:
-    """The limits that the search aims at, inside the robot's."""
+    """Return the limits that the search aims at, inside the robot's."""
     return planning_model(robot).layouts.limits.make(
         torque=TORQUE_SHARE * robot.max_torque,
         near_time=locus_time,
@@ -129,7 +131,7 @@ def crossing_problem(
     towards: Array | None = None,
     locus_time: float = LOCUS_TIME,
 ) -> Problem:
-    """The problem of a crossing near a locus point.
+    """Return the problem of a crossing near a locus point.
 
     Args:
         robot: in the working mode of the point.
@@ -179,7 +181,7 @@ def crossing_problem(
 def leg_problem(
     robot: AnyRobot, left: Array, reached: Array, sign: float, duration: float
 ) -> Problem:
-    """The problem of a leg between two crossings.
+    """Return the problem of a leg between two crossings.
 
     Args:
         robot: in their working mode.
@@ -202,7 +204,7 @@ def leg_problem(
 
 
 def trajectory_of(problem: Problem, z: Record) -> Trajectory:
-    """The trajectory of a candidate, from time 0."""
+    """Return the trajectory of a candidate, from time 0."""
     pair = problem.halves(z)
     first, second = np.abs(pair.spans)
     origins = np.array([0.0, first + second] if problem.leg else [first, first])
@@ -214,14 +216,14 @@ def trajectory_of(problem: Problem, z: Record) -> Trajectory:
 
 
 def coefficients_over(half: Array, span: float) -> Array:
-    """Coefficients (ROWS, n) by rising power of time, s, of a half (n, ROWS) by rising
-    power of the share of its span, s.
+    """Return coefficients (ROWS, n) by rising power of time, s, of a half (n, ROWS) by
+    rising power of the share of its span, s.
     """
     return np.asarray(half.T / float(span) ** np.arange(half.shape[1])[:, None])
 
 
 def descend(problem: Problem, guess: Record) -> tuple[float, Record]:
-    """The least cost that descents from a guess find, and its variables."""
+    """Return the least cost that descents from a guess find, and its variables."""
     from scipy.optimize import minimize  # here: it takes longer to load than all else
 
     z = guess.copy()
@@ -247,8 +249,8 @@ def descend(problem: Problem, guess: Record) -> tuple[float, Record]:
 def guesses_through(
     problem: Problem, point: LocusPoint, towards: Array | None = None
 ) -> list[Record]:
-    """Guesses with rests straight ahead of the point on both sides, as much in line as
-    can be.
+    """Return guesses with rests straight ahead of the point on both sides, as much in
+    line as can be.
 
     Args:
         problem: of the crossing.

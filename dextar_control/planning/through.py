@@ -41,8 +41,8 @@ OPEN = ("start", "goal", "split", "velocity", "strong", "jerk")
 def _sign_and_direction(
     point: LocusPoint, direction: int | float | Array
 ) -> tuple[float, Array | None]:
-    """The sign of s after the crossing, and the unit direction (n,) of the velocity
-    where one is given.
+    """Return the sign of s after the crossing, and the unit direction (n,) of the
+    velocity where one is given.
     """
     if np.ndim(direction) == 0:
         if float(direction) not in (-1.0, 1.0):
@@ -157,8 +157,8 @@ def plan_through(
 
 
 def _nearest_with_room(robot: AnyRobot, place: LocusPoint) -> Array | None:
-    """The nearest point (2,), m, of the locus that has room for a rest on both sides;
-    None when there is none.
+    """Return the nearest point (2,), m, of the locus that has room for a rest on both
+    sides; None when there is none.
     """
     if not isinstance(robot, RobotParameters):
         return None

@@ -66,8 +66,8 @@ TourPoint = LocusPoint | Array | tuple[LocusPoint | Array, int]
 def spread_points(
     robot: RobotParameters, count: int, seed: int = 0
 ) -> list[LocusPoint]:
-    """Crossable points spread over the locus of the robot's working mode, between the
-    same two regions.
+    """Return crossable points spread over the locus of the robot's working mode,
+    between the same two regions.
 
     Each is followed by its nearest neighbour, from the leftmost on.
 
@@ -125,7 +125,7 @@ def _stops(
     repeat: int,
     start: Array | None,
 ) -> list[TourCrossing]:
-    """The crossings of a tour in their order, with their directions.
+    """Return the crossings of a tour in their order, with their directions.
 
     Raises:
         GeometryError: a point is off the locus, or borders other regions than the one
@@ -188,7 +188,7 @@ def _stops(
 
 
 def _piece(trajectory: Trajectory, row: int) -> Trajectory:
-    """One half of a crossing as a trajectory from time 0."""
+    """Return one half of a crossing as a trajectory from time 0."""
     begin, own = trajectory.knots[row], slice(row, row + 1)
     return Trajectory(
         trajectory.knots[row : row + 2] - begin,
@@ -198,15 +198,15 @@ def _piece(trajectory: Trajectory, row: int) -> Trajectory:
 
 
 def _state(trajectory: Trajectory) -> Array:
-    """The state (n, 4) at the crossing: columns x, m, x_dot, x_ddot and jerk."""
+    """Return the state (n, 4) at the crossing: columns x, m, x_dot, x_ddot and jerk."""
     return np.asarray(trajectory.coefficients[1, :4].T * np.array([1.0, 1.0, 2.0, 6.0]))
 
 
 def _leg_guesses(
     robot: RobotParameters, left: Array, reached: Array, sign: float
 ) -> list[tuple[Problem, Record]]:
-    """Problems and guesses of legs between two crossings' states (n, 4), that follow
-    the way on the grid, or swing out where the crossings are neighbours.
+    """Return problems and guesses of legs between two crossings' states (n, 4), that
+    follow the way on the grid, or swing out where the crossings are neighbours.
     """
     unit = planning_model(robot).length
     (begin, leaving), (end, arriving) = left.T[:2], reached.T[:2]
@@ -240,8 +240,8 @@ def _leg_guesses(
 def _flow(
     robot: RobotParameters, before: Trajectory, after: Trajectory, sign: float
 ) -> Trajectory | None:
-    """A leg from the crossing of one way to that of the next without stopping; None
-    when none keeps the limits.
+    """Return a leg from the crossing of one way to that of the next without stopping;
+    None when none keeps the limits.
     """
     best: tuple[float, Trajectory] | None = None
     for problem, guess in _leg_guesses(robot, _state(before), _state(after), sign):
@@ -263,7 +263,9 @@ def _flow(
 
 
 def _around(robot: RobotParameters, begin: Array, end: Array) -> list[Trajectory]:
-    """Regular motion between places (2,), m, rest to rest; none where they are one."""
+    """Return regular motion between places (2,), m, rest to rest; none where they are
+    one.
+    """
     return (
         [plan_approach(robot, begin, end, REGULAR_SPEED)]
         if np.linalg.norm(end - begin) > SAME_PLACE

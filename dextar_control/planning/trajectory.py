@@ -22,12 +22,12 @@ AT_ONCE = 512
 
 
 def in_words(x: Array) -> str:
-    """A platform position (n,), m, as messages write it."""
+    """Return a platform position (n,), m, as messages write it."""
     return f"({', '.join(f'{value:.4f}' for value in x)}) m"
 
 
 def lengths_along(places: Array) -> Array:
-    """The length (m,), m, of a way up to each of its places (m, n), m."""
+    """Return the length (m,), m, of a way up to each of its places (m, n), m."""
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -69,7 +69,7 @@ class Trajectory:
         return self._end
 
     def at(self, time: float) -> Point:
-        """The instant at a time, s, held at both ends."""
+        """Return the instant at a time, s, held at both ends."""
         held = min(max(float(time), 0.0), self._end)
         row = max(bisect_right(self._begins, held) - 1, 0)
         found = (held - self._origins[row]) ** self._powers @ self._rows[row]
@@ -77,8 +77,8 @@ class Trajectory:
         return Point(found[:n], found[n : 2 * n], found[2 * n :])
 
     def table(self, times: Array) -> tuple[Array, Array, Array]:
-        """(x, m, x_dot, m/s, x_ddot, m/s^2), (k, n) each, at times (k,), s, held at
-        both ends.
+        """Return (x, m, x_dot, m/s, x_ddot, m/s^2), (k, n) each, at times (k,), s, held
+        at both ends.
         """
         held = np.clip(np.asarray(times, dtype=np.float64), 0.0, self.duration)
         found = np.empty((len(held), 3 * self._n))
@@ -93,8 +93,8 @@ class Trajectory:
         return x, x_dot, x_ddot
 
     def scaled(self, factor: float) -> Trajectory:
-        """The same path in ``factor`` times the time; without gravity it keeps the
-        criterion.
+        """Return the same path in ``factor`` times the time; without gravity it keeps
+        the criterion.
         """
         powers = factor ** -np.arange(self.coefficients.shape[1])
         return Trajectory(
@@ -104,8 +104,8 @@ class Trajectory:
         )
 
     def reversed(self) -> Trajectory:
-        """The time reversal; it keeps the criterion where w_d is quadratic in the
-        velocity.
+        """Return the time reversal; it keeps the criterion where w_d is quadratic in
+        the velocity.
         """
         signs = (-1.0) ** np.arange(self.coefficients.shape[1])
         turned = (self.coefficients * signs[None, :, None])[::-1]
@@ -115,12 +115,14 @@ class Trajectory:
 
 
 def hold(x: Array, duration: float) -> Trajectory:
-    """The trajectory at rest at x (n,), m, for a duration, s."""
+    """Return the trajectory at rest at x (n,), m, for a duration, s."""
     return Trajectory(np.array([0.0, duration]), np.zeros(1), np.array([[x]]))
 
 
 def join(parts: list[Trajectory]) -> Trajectory:
-    """Trajectories one after the other, each starting where the one before ends."""
+    """Return trajectories one after the other, each starting where the one
+    before ends.
+    """
     width = max(part.coefficients.shape[1] for part in parts)
     knots, origins, coefficients = [np.zeros(1)], [], []
     start = 0.0
@@ -136,7 +138,7 @@ def join(parts: list[Trajectory]) -> Trajectory:
 
 
 def quintic(times: Array, x: Array, x_dot: Array, x_ddot: Array) -> Trajectory:
-    """The trajectory through samples by quintic Hermite interpolation.
+    """Return the trajectory through samples by quintic Hermite interpolation.
 
     Args:
         times: rising from 0, (m,), s.

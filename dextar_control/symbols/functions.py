@@ -54,7 +54,7 @@ class NumericFunction(Protocol):
     """A function of numbers, such as ``Fast`` and ``Batch``."""
 
     def __call__(self, *arguments: ArrayLike) -> Results:
-        """The results of arguments in their order."""
+        """Return the results of arguments in their order."""
 
 
 class _MakeResults(Protocol):
@@ -109,13 +109,15 @@ class Fast:
         self.results = self._record(*results)
 
     def views(self) -> SimpleNamespace:
-        """The arguments as memoryviews, into which numbers go in half the time."""
+        """Return the arguments as memoryviews, into which numbers go in half
+        the time.
+        """
         return SimpleNamespace(
             **{name: place.data for name, place in vars(self.arguments).items()}
         )
 
     def __call__(self, *arguments: ArrayLike) -> Results:
-        """Results in new arrays, of arguments in their order."""
+        """Return results in new arrays, of arguments in their order."""
         for place, argument in zip(self._places, arguments, strict=True):
             place[:] = argument
         self.run()
@@ -146,8 +148,8 @@ class Batch:
         self._record = _record(function.name(), tuple(function.name_out()))
 
     def __call__(self, *arguments: ArrayLike) -> Results:
-        """Results (m, size) or (m, rows, columns) of arguments (m, size), or (size,)
-        for all states.
+        """Return results (m, size) or (m, rows, columns) of arguments (m, size), or
+        (size,) for all states.
         """
         given = [np.asarray(argument, dtype=np.float64) for argument in arguments]
         many = [
@@ -204,20 +206,20 @@ class Library:
         self._functions = self.symbolic if loaded is None else loaded
 
     def fast(self, name: str, **shared: Array) -> Fast:
-        """A function with arrays of its own, but for the ``shared`` ones, (size,) each
-        in the unit that the function takes, such as rad, or 1.
+        """Return a function with arrays of its own, but for the ``shared`` ones,
+        (size,) each in the unit that the function takes, such as rad, or 1.
         """
         return Fast(self._functions[name], shared)
 
     def batch(self, name: str) -> Batch:
-        """A function of many states at once."""
+        """Return a function of many states at once."""
         return Batch(self._functions[name])
 
 
 def named(
     name: str, arguments: Mapping[str, Symbol], results: Mapping[str, Symbol]
 ) -> ca.Function:
-    """A function with dense results, whose common parts are computed once."""
+    """Return a function with dense results, whose common parts are computed once."""
     dense = [ca.densify(result) for result in results.values()]
     return ca.Function(
         name,
@@ -230,8 +232,8 @@ def named(
 
 
 def in_place(function: ca.Function) -> ca.Function:
-    """The same function, which reads all arguments before it writes a result, so that
-    the two may share arrays.
+    """Return the same function, which reads all arguments before it writes a result, so
+    that the two may share arrays.
     """
     given = [
         ca.MX.sym(name, function.size1_in(i))
@@ -247,7 +249,7 @@ def in_place(function: ca.Function) -> ca.Function:
 
 
 def _buffer_of(function: ca.Function) -> tuple[_Buffer, Callable[[], None]]:
-    """Where a function's arguments and results lie, and what computes these."""
+    """Return where a function's arguments and results lie, and what computes these."""
     return cast("tuple[_Buffer, Callable[[], None]]", function.buffer())
 
 
@@ -257,8 +259,8 @@ def _record(name: str, results: tuple[str, ...]) -> _MakeResults:
 
 
 def _matrices(table: Array, shape: tuple[int, int]) -> Array:
-    """(m, rows) or (m, rows, columns) of a table (m, rows * columns) whose rows hold
-    matrices column by column.
+    """Return (m, rows) or (m, rows, columns) of a table (m, rows * columns) whose rows
+    hold matrices column by column.
     """
     rows, columns = shape
     return (
@@ -280,7 +282,7 @@ def _place(name: str, sparsity: ca.Sparsity, given: Mapping[str, Array]) -> Arra
 
 
 def cache_folder() -> Path | None:
-    """The folder of compiled functions; None where none can be written, which is
+    """Return the folder of compiled functions; None where none can be written, which is
     printed.
     """
     folder = caches.cache_folder("functions")
@@ -293,7 +295,7 @@ def cache_folder() -> Path | None:
 
 
 def compiler() -> str | None:
-    """The path of the C compiler, or None."""
+    """Return the path of the C compiler, or None."""
     named = os.environ.get(COMPILER_VARIABLE)
     if named is not None:
         return shutil.which(named) if named else None
@@ -303,8 +305,8 @@ def compiler() -> str | None:
 def _compiled(
     functions: Mapping[str, ca.Function], folder: Path, flags: Sequence[str]
 ) -> Mapping[str, ca.Function] | None:
-    """The functions from a library, compiled unless it is there already; None where
-    that cannot be done, which is printed.
+    """Return the functions from a library, compiled unless it is there already; None
+    where that cannot be done, which is printed.
     """
     command = compiler()
     if command is None:
@@ -368,7 +370,7 @@ def _compiled(
 def _loaded(
     functions: Mapping[str, ca.Function], library: Path
 ) -> Mapping[str, ca.Function] | None:
-    """The functions of a compiled library; None where the file is none."""
+    """Return the functions of a compiled library; None where the file is none."""
     try:
         content = library.read_bytes()
         if content[-SEAL:] != _seal(content[:-SEAL]):
@@ -384,8 +386,8 @@ def _loaded(
 
 
 def _seal(content: bytes) -> bytes:
-    """The hash that stands behind a whole library: a library cut off would end the
-    process that calls it.
+    """Return the hash that stands behind a whole library: a library cut off would end
+    the process that calls it.
     """
     return hashlib.sha256(content).digest()
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from dextar_control.symbols.types import Array, Slice, Symbol
 
 # A float or an array: the layout says which.
-Value: TypeAlias = Any  # type: ignore[explicit-any, unused-ignore]
+Value: TypeAlias = Any  # type: ignore[explicit-any]
 
 
 class Field(NamedTuple):
@@ -62,7 +62,7 @@ class Record:
             """Each layout's class has its fields."""
 
     def copy(self) -> Record:
-        """A record of the same numbers in an array of its own."""
+        """Return a record of the same numbers in an array of its own."""
         return type(self)(self.numbers.copy())
 
     def take(self, other: Record) -> None:
@@ -141,8 +141,8 @@ class Layout:
         return size if isinstance(size, int) else int(size[:-1] or "1") * self.n
 
     def make(self, **values: ArrayLike) -> Record:
-        """A record of zeros but for ``values``, in the fields' shapes such as (n,) and
-        units such as rad.
+        """Return a record of zeros but for ``values``, in the fields' shapes such as
+        (n,) and units such as rad.
         """
         record: Record = self._class()
         for name, value in values.items():
@@ -150,14 +150,14 @@ class Layout:
         return record
 
     def of(self, numbers: Array) -> Record:
-        """The record whose numbers are in this array (size,), in the fields' units such
-        as rad.
+        """Return the record whose numbers are in this array (size,), in the fields'
+        units such as rad.
         """
         record: Record = self._class(numbers)
         return record
 
     def rows(self, **columns: ArrayLike) -> Array:
-        """Many records as a table (m, size), in the fields' units such as rad.
+        """Return many records as a table (m, size), in the fields' units such as rad.
 
         Args:
             columns: of each field, (m,), or (m, k) where it has k numbers, a matrix
@@ -170,7 +170,9 @@ class Layout:
         return table
 
     def indices(self, *names: str) -> NDArray[np.int64]:
-        """The indices (k,), 1, of these fields' numbers in the vector, rising."""
+        """Return the indices (k,), 1, of these fields' numbers in the vector,
+        rising.
+        """
         every = np.arange(self.size)
         return np.sort(
             np.concatenate(
@@ -179,12 +181,12 @@ class Layout:
         )
 
     def symbols(self, name: str = "") -> tuple[Symbol, dict[str, Symbol]]:
-        """(a vector of symbols (size,), its fields by name)."""
+        """Return (a vector of symbols (size,), its fields by name)."""
         vector = ca.SX.sym(name or self.name, self.size)
         return vector, self.split(vector)
 
     def split(self, vector: Symbol) -> dict[str, Symbol]:
-        """The fields, by name, of a vector on symbols (size,)."""
+        """Return the fields, by name, of a vector on symbols (size,)."""
         parts = {}
         for name, (place, shape) in self.places.items():
             part = vector[place]
@@ -194,7 +196,7 @@ class Layout:
         return parts
 
     def join(self, fields: Mapping[str, Symbol | float]) -> Symbol:
-        """The vector on symbols (size,) of all fields."""
+        """Return the vector on symbols (size,) of all fields."""
         return ca.vertcat(
             *(ca.vec(ca.densify(ca.SX(fields[field.name]))) for field in self.fields)
         )

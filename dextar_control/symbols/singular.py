@@ -50,7 +50,9 @@ class SingularVectors(NamedTuple):
 
 
 def blocks(A: Symbol) -> list[Block]:
-    """The blocks of a square matrix by its sparsity, in the order of their columns."""
+    """Return the blocks of a square matrix by its sparsity, in the order of their
+    columns.
+    """
     n, pattern = A.shape[0], A.sparsity()
     empty = ca.Sparsity(n, n)
     # rows and columns are the nodes of a graph, entries its edges
@@ -65,7 +67,9 @@ def blocks(A: Symbol) -> list[Block]:
 
 
 def nearest(s: Symbol, values: Symbol) -> Symbol:
-    """Of values (k,), one a block, that of the block whose s (k,) is least in size."""
+    """Return that of values (k,), one a block, that of the block whose s (k,) is least
+    in size.
+    """
     least, value = s[0], values[0]
     for i in range(1, s.shape[0]):
         nearer = ca.fabs(s[i]) < ca.fabs(least)
@@ -77,7 +81,7 @@ def nearest(s: Symbol, values: Symbol) -> Symbol:
 
 
 def singular_vectors(A: Symbol) -> SingularVectors:
-    """The singular vectors of a square matrix (n, n); v_weak is oriented as the
+    """Return the singular vectors of a square matrix (n, n); v_weak is oriented as the
     cofactors of its block's last row.
     """
     parts = blocks(A)
@@ -86,7 +90,7 @@ def singular_vectors(A: Symbol) -> SingularVectors:
     found = [_of_block(A[rows, columns]) for rows, columns in parts]
 
     def placed(name: str, side: str) -> Symbol:
-        """The vectors of all blocks, among the rows (u) or columns (v) of A."""
+        """Return the vectors of all blocks, among the rows (u) or columns (v) of A."""
         every = []
         for part, one in zip(parts, found, strict=True):
             vectors = ca.SX(A.shape[0], getattr(one, name).shape[1])
@@ -109,7 +113,7 @@ def singular_vectors(A: Symbol) -> SingularVectors:
 
 
 def _of_block(A: Symbol) -> SingularVectors:
-    """The singular vectors of a matrix that is one block."""
+    """Return the singular vectors of a matrix that is one block."""
     n = A.shape[0]
     if n == 1:
         return SingularVectors(
@@ -131,8 +135,8 @@ def _of_block(A: Symbol) -> SingularVectors:
 
 
 def orthogonal(columns: Symbol) -> Symbol:
-    """The unit vector (n,) orthogonal to n - 1 orthogonal unit columns (n, n - 1), so
-    that all n are a rotation: the cross product for n = 3.
+    """Return the unit vector (n,) orthogonal to n - 1 orthogonal unit columns (n, n -
+    1), so that all n are a rotation: the cross product for n = 3.
     """
     n = columns.shape[0]
     cofactors = []
@@ -143,7 +147,7 @@ def orthogonal(columns: Symbol) -> Symbol:
 
 
 def _strong_right(A: Symbol) -> Symbol:
-    """The right singular vectors (n, n - 1) but the weakest."""
+    """Return the right singular vectors (n, n - 1) but the weakest."""
     n = A.shape[0]
     gram, V = A.T @ A, ca.SX.eye(n)
     for _ in range(1 if n == 2 else SWEEPS):

@@ -33,7 +33,7 @@ from dextar_control.contract.topics import NODES, SERVICES
 from dextar_control.experiments.echo import EchoNode
 from dextar_control.model.model import Model
 from dextar_control.nodekit import node as node_module
-from dextar_control.nodekit.node import run_node
+from dextar_control.nodekit.node import DextarNode, run_node
 from dextar_control.nodes.controller import ControllerNode
 from dextar_control.nodes.markers import MarkerNode
 from dextar_control.nodes.panel import PanelNode
@@ -518,10 +518,11 @@ def test_a_signal_after_the_end_changes_nothing() -> None:
 def test_a_node_that_the_system_does_not_let_start_says_why(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def make() -> None:
-        raise OSError(24, "Too many open files", "METADATA")
+    class Starved(DextarNode):
+        def __init__(self) -> None:
+            raise OSError(24, "Too many open files", "METADATA")
 
-    assert run_node(make, []) == 2
+    assert run_node(Starved, []) == 2
     assert (
         capsys.readouterr().err
         == "error: the node cannot be started: [Errno 24] Too many open files:"

@@ -150,7 +150,7 @@ def test_a_stop_while_a_trip_is_planned_gives_it_up_and_a_second_one_is_refused_
             assert server._on_stop(Trigger.Request(), Trigger.Response()).success
         deadline = time.monotonic() + PATIENCE
         while not answers:
-            server._worker.poll()
+            server._jobs.poll()
             assert time.monotonic() < deadline
         ((served, error),) = answers
         assert (

@@ -15,12 +15,11 @@ import threading
 import time
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from datetime import datetime, timezone
 from pathlib import Path
 
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TimeElapsedColumn
 
-from dextar_control.contract.errors import BagError, DextarError, ParameterError
+from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.plain_data import as_plain
 from dextar_control.contract.resources import config_file, node_defaults
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn
@@ -32,6 +31,7 @@ from dextar_control.experiments.faults.netns import FaultyLink
 from dextar_control.experiments.faults.stack import SessionRequest
 from dextar_control.experiments.faults.table import Summary
 from dextar_control.experiments.processes import end_with_parent
+from dextar_control.experiments.run_folder import make_run_folder
 from dextar_control.nodekit.domain import own_domain
 
 CONFIG_NAME = "faults.yaml"
@@ -300,7 +300,7 @@ def run_faults(
     config = load_cases(path)
     seed = config.seed if seed is None else seed
     counts = select(config, names, count, quick)
-    folder = _make_folder(output)
+    folder = make_run_folder(output, "faults-")
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     console.print(
         f"{sum(counts.values())} faulted crossings of {len(counts)} cases, seed {seed},"
@@ -398,18 +398,6 @@ def _run_group(
                 worker.join(timeout=STOP_TIMEOUT)
         for bar in {bar for _, bar in bars.values()}:
             progress.remove_task(bar)
-
-
-def _make_folder(output: Path) -> Path:
-    folder = output / f"faults-{datetime.now(timezone.utc).strftime('%Y%m%dT%H%M%SZ')}"
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise BagError(
-            f"folder {folder} cannot be made: {error.strerror}; name another with"
-            " --output"
-        ) from error
-    return folder
 
 
 def _write(folder: Path, summary: Summary, config: FaultConfig, seed: int) -> None:

@@ -12,7 +12,7 @@ from typing import TypeVar
 from dextar_control.contract.errors import DextarError
 
 T = TypeVar("T")
-Done = Callable[[T | None, DextarError | None], None]
+Done = Callable[[T | None, DextarError | None], object]
 
 
 class GivenUp(DextarError):
