@@ -144,7 +144,7 @@ def test_a_reset_from_before_a_fault_does_not_clear_it(
     late = controller.call(Trigger, "reset", Trigger.Request())
     controller.arrive("reset")
     node._loop.fault("the cause of this test")
-    node._say()
+    node._log_phase()
     refused = controller.finish(late)
     assert not refused.success
     assert (
@@ -327,7 +327,7 @@ def test_a_motion_that_trips_says_whether_commands_came_too_late(
         time, "time_ns", lambda: now
     )  # a busy machine makes no state older
     node._loop.fault("before")
-    node._say()
+    node._log_phase()
     node._statistics.restart()
     for k in range(
         200
@@ -340,7 +340,7 @@ def test_a_motion_that_trips_says_whether_commands_came_too_late(
     )
     node._lockstep = False
     try:
-        node._say()
+        node._log_phase()
     finally:
         node._lockstep = True
     late = (
@@ -352,4 +352,4 @@ def test_a_motion_that_trips_says_whether_commands_came_too_late(
     )
     assert node._latched[0] == node._loop.reason
     node._loop.phase, node._loop.reason, node._loop.tripped = Phase.IDLE, "", ""
-    node._say()
+    node._log_phase()
