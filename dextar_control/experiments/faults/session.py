@@ -135,10 +135,12 @@ class Session(Stack):
         done = idle = 0
         while done < count:
             trips = min(case.trips, (count - done + 1) // 2)
-            refusals = self.monitor.change_parameters("trajectory_server", repeat=trips)
+            refusals = self.monitor.change_parameters(
+                "trajectory_server", task__repeat=trips
+            )
             if any(refusals):
                 raise NodesError(
-                    f"the trajectory server does not take repeat = {trips}:"
+                    f"the trajectory server does not take task.repeat = {trips}:"
                     f" {refusals[0]}"
                 )
             records, tally = self.trip(name, case, action, trips, count - done)
