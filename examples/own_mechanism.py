@@ -1,5 +1,7 @@
-"""A mechanism of one's own: sliders on two rails, one ahead of the other, whose bars
-meet in a point; in one line they are singular. What is not stated here follows.
+"""A mechanism of one's own: sliders on parallel rails, whose bars meet in one point.
+
+Closures, Lagrangian and inverse geometric model are stated; all else follows. A slider
+runs ahead of the point, one behind: with the bars in one line the robot is singular.
 """
 
 import casadi as ca

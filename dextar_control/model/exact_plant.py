@@ -8,7 +8,7 @@ import numpy as np
 
 from dextar_control.model.model import Model
 from dextar_control.model.robot import AnyRobot
-from dextar_control.symbols.types import Array
+from dextar_control.symbols.types import Array, Numbers
 
 SUBSTEPS = 4  # of Runge and Kutta's method in a period
 
@@ -37,22 +37,21 @@ class ExactPlant:
         self.model, self.period = Model.of(robot), period
         self.reset(np.zeros(self.model.n))
 
-    def reset(self, x: Array, x_dot: Array | None = None) -> None:
+    def reset(self, x: Numbers, x_dot: Numbers = ()) -> None:
         """Put the platform at x (n,), m, with velocity x_dot (n,), m/s (at rest when
-        None), at time 0.
+        empty), at time 0.
         """
-        rest = np.zeros(self.model.n)
-        self._steps = 0
-        self._state = np.concatenate([x, rest if x_dot is None else x_dot])
+        velocity = x_dot if len(x_dot) else np.zeros(self.model.n)
+        self._steps, self._state = 0, np.concatenate([x, velocity])
 
     def state(self) -> ExactState:
-        """Return the present state."""
+        """The present state."""
         x, x_dot = np.split(self._state, 2)
         return ExactState(self._steps * self.period, self.model.place(x).q_a, x, x_dot)
 
-    def step(self, tau: Array) -> None:
-        """Advance one period under constant torques tau (n,), N m (N)."""
-        state, h = self._state, self.period / SUBSTEPS
+    def step(self, torque: Numbers) -> None:
+        """Advance one period under constant torques (n,), N m (N)."""
+        state, h, tau = self._state, self.period / SUBSTEPS, np.asarray(torque)
         for _ in range(SUBSTEPS):
             k1 = self._rate(state, tau)
             k2 = self._rate(state + 0.5 * h * k1, tau)
@@ -62,7 +61,7 @@ class ExactPlant:
         self._steps, self._state = self._steps + 1, state
 
     def _rate(self, state: Array, tau: Array) -> Array:
-        """Return the rate of (x, x_dot), (2n,), under torques (n,), N m (N)."""
+        """The rate of (x, x_dot), (2n,), under torques (n,), N m (N)."""
         x, x_dot = np.split(state, 2)
         q_a = self.model.place(x).q_a
         x_ddot = self.model.platform_dynamics(q_a, x, x_dot, tau).x_ddot

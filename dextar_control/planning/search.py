@@ -87,9 +87,7 @@ class Problem(NamedTuple):
         return self._replace(free=np.union1d(self.free, self.variables.indices(*names)))
 
     def costs(self, z: Record) -> tuple[float, Array]:
-        """Return the cost of a candidate, and its gradient (size,) over all variables,
-        1.
-        """
+        """Return a candidate's cost and its gradient over all variables (size,), 1."""
         function = self.model.leg_cost if self.leg else self.model.crossing_cost
         found = function(self.limits.numbers, self.task.numbers, z.numbers)
         cost, gradient = float(found.cost[0]), found.gradient
