@@ -22,8 +22,8 @@ SHELL := /bin/bash
 
 BIN := .venv/bin
 SET_UP := PYTHON="$(PYTHON)" ./set_up.sh
-# Files side by side, each in a process and a DDS domain of its own; what they run of the mathematics is counted.
-PYTEST := $(BIN)/python -m pytest -q --numprocesses=2 --dist=loadfile --cov --cov-report=
+# Two files at a time, in processes and DDS domains of their own.
+PYTEST := $(BIN)/python -m pytest -q --numprocesses=2 --dist=loadfile
 COVERAGE := echo "of the mathematics' lines the tests run $$($(BIN)/coverage report --format=total) % ($(BIN)/coverage report lists them)"
 
 help: ## this list
@@ -49,12 +49,11 @@ check: set-up-test ## formatter, linter, types, and the tests that start nothing
 	$(BIN)/mypy & types=$$!
 	tests=0
 	$(PYTEST) test/unit $(ARGS) || tests=$$?
-	$(COVERAGE)
 	wait $$types
 	exit $$tests
 
 test: set-up-test .venv/installed-js ## run the tests
-	@$(PYTEST) --durations=10 $(ARGS)
+	@$(PYTEST) --cov --cov-report= --durations=10 $(ARGS)
 	$(COVERAGE)
 
 docs: ## build the documentation into docs/_build/index.html, which opens offline
