@@ -7,6 +7,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import io
+import math
 import os
 import sys
 import warnings
@@ -168,6 +169,8 @@ def test_a_bag_may_lie_in_a_folder_of_any_name(
     )
     monkeypatch.setattr(sys, "stdout", output)
     monkeypatch.setattr(sys, "stderr", errors)
+    # A busy machine tells of no progress meanwhile.
+    monkeypatch.setattr(terminal, "LINE_PERIOD", math.inf)
     into = bag.parent / "out"
     if words == ["recover"]:
         cut = bag.parent / "cut.mcap"
