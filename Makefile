@@ -1,5 +1,5 @@
 # make            lists the targets; the first one that needs the environment builds it in .venv
-# LAW=consistent  law of the demo: consistent, projected or classic
+# LAW=consistent  law of the demo: consistent, projected, classic, multi_model, joint_space or module:function of one's own
 # DURATION=       duration of one way in the demo, s
 # CONFIG=         file of the campaign (config/campaign_small.yaml)
 # ARGS=           further arguments of dextar or pytest

@@ -53,8 +53,8 @@ def chosen(what: str, name: str, ours: Mapping[str, Thing]) -> Thing:
         ) from error
     if not callable(found):
         raise ParameterError(
-            f"{what} = {name!r} is a {type(found).__name__}; it must be a function or a"
-            " class"
+            f"{what} = {name!r} is of type {type(found).__name__}; it must be a"
+            " function or a class"
         )
     return cast(Thing, found)
 

@@ -8,6 +8,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, get_type_hints
 
@@ -451,9 +452,14 @@ def from_flat(flat: Mapping[str, ParameterValue]) -> RobotParameters:
     """
     unknown = sorted(set(flat) - set(ROBOT_KEYS))
     if unknown:
+        close = get_close_matches(unknown[0], ROBOT_KEYS, n=1)
         raise ParameterError(
-            f"unknown robot parameter '{unknown[0]}'; known are:"
-            f" {', '.join(ROBOT_KEYS)}"
+            f"unknown robot parameter '{unknown[0]}'; "
+            + (
+                f"did you mean '{close[0]}'?"
+                if close
+                else f"known are: {', '.join(ROBOT_KEYS)}"
+            )
         )
     flat = {**_UNSAID, **_with_axes(flat)}
     wanted = [key for key in ROBOT_KEYS if key != "base_distance"]

@@ -360,7 +360,10 @@ def _answer(name: str, law: Law, asked: Asked) -> Answer:
     if name in LAWS:
         return law(asked)
     try:
-        tau, e, weight = law(asked)
+        answer = law(asked)
+        if not isinstance(answer, Answer):
+            raise TypeError(f"it returns {answer!r}; an Answer(tau, e) is wanted")
+        tau, e, weight = answer
         tau, weight = ca.SX(tau), ca.SX(weight)
     except Exception as error:
         raise ParameterError(

@@ -72,7 +72,7 @@ def examples(monkeypatch: pytest.MonkeyPatch) -> None:
         (":law", "law = ':law'; it must be one of classic"),
         ("of_ones_own:no", "law = 'of_ones_own:no' cannot be loaded: AttributeError"),
         ("nowhere:law", "No module named 'nowhere'; PYTHONPATH has to name the folder"),
-        ("of_ones_own:NUMBER", "is a int; it must be a function or a class"),
+        ("of_ones_own:NUMBER", "is of type int; it must be a function or a class"),
     ],
 )
 def test_a_name_that_is_none_is_told_with_those_there_are(

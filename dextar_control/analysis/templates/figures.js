@@ -149,7 +149,8 @@ class Drawing {
     for (const [at, words] of this.x.ticks) {
       const place = this.x.to(at);
       make("line", {x1: place, x2: place, y1: TOP, y2: TOP + high}, grid);
-      if (!figure.bare) make("text", {x: place, y: TOP + high + 15, "text-anchor": "middle"}, grid).textContent = words;
+      const anchor = place + 3.5 * words.length > width ? "end" : "middle";  // the last one stays within the picture
+      if (!figure.bare) make("text", {x: place, y: TOP + high + 15, "text-anchor": anchor}, grid).textContent = words;
     }
     for (const [at, words] of this.y.ticks) {
       const place = this.y.to(at);

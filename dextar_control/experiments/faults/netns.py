@@ -19,7 +19,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict
 from types import TracebackType
-from typing import Literal
+from typing import Literal, get_args
 
 from dextar_control.experiments.faults.frames import (
     LinkError,
@@ -28,6 +28,7 @@ from dextar_control.experiments.faults.frames import (
 )
 
 Side = Literal["a", "b"]
+Way = Literal["a_to_b", "b_to_a"]
 SIDES: tuple[Side, Side] = ("a", "b")
 ADDRESSES: dict[Side, str] = {"a": "10.77.0.1", "b": "10.77.0.2"}
 HARDWARE: dict[Side, str] = {"a": "02:00:0a:4d:00:01", "b": "02:00:0a:4d:00:02"}
@@ -50,7 +51,8 @@ class FaultyLink:
 
     Args:
         seed: of the faults; the n-th frame of a direction has the same fate each time.
-        quality: fields of ``LinkQuality`` for both ways.
+        quality: fields of ``LinkQuality`` for both ways; ``set_quality`` tells them
+            apart.
 
     Raises:
         LinkError: a quality out of its limits; on entering: no root, or a tool is
@@ -174,14 +176,20 @@ class FaultyLink:
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
         }
 
-    def set_quality(self, **quality: float) -> dict[str, LinkStatistics]:
-        """Give both ways a quality from the next frame on, e.g. ``loss=1.0`` for an
-        outage and nothing for a whole link; return the counts so far, by direction.
+    def set_quality(self, *ways: Way, **quality: float) -> dict[str, LinkStatistics]:
+        """Give some ways, or both where none is named, a quality from the next frame
+        on; return the counts so far, by way.
+
+        Args:
+            ways: ``a_to_b`` or ``b_to_a``.
+            quality: fields of ``LinkQuality``: ``loss=1.0`` is an outage, nothing a
+                link without faults.
 
         Raises:
             LinkError: the quality is out of its limits, or the relay is gone.
         """
-        return self._ask(asdict(LinkQuality(**quality)))
+        new = asdict(LinkQuality(**quality))
+        return self._ask(dict.fromkeys(ways or get_args(Way), new))
 
     def statistics(self) -> dict[str, LinkStatistics]:
         """Return the counts of the frames so far, by direction.
@@ -191,11 +199,13 @@ class FaultyLink:
         """
         return self._ask({})
 
-    def _ask(self, quality: Mapping[str, float]) -> dict[str, LinkStatistics]:
+    def _ask(
+        self, qualities: Mapping[Way, Mapping[str, float]]
+    ) -> dict[str, LinkStatistics]:
         relay = self._relay
         if relay is None or relay.poll() is not None or relay.stdin is None:
             raise LinkError("the relay between the namespaces is not running")
-        relay.stdin.write(json.dumps(quality) + "\n")
+        relay.stdin.write(json.dumps(qualities) + "\n")
         relay.stdin.flush()
         answer = _answer(relay)
         if not answer:

@@ -121,10 +121,11 @@ class Relay:
                 except OSError:  # the far end is down, full, or its frames are smaller
                     schedule.statistics.refused += 1
 
-    def _answer(self, quality: dict[str, float]) -> dict[str, dict[str, int]]:
-        if quality:
-            for schedule in self._schedules.values():
-                schedule.quality = LinkQuality(**quality)
+    def _answer(
+        self, qualities: dict[str, dict[str, float]]
+    ) -> dict[str, dict[str, int]]:
+        for way, quality in qualities.items():
+            self._schedules[way].quality = LinkQuality(**quality)
         for (
             source,
             _,
