@@ -482,7 +482,7 @@ class PlatformMotion:
             "h": np.array([substep]),
         }
         self._pack = struct.Struct(f"{layout.size}d").pack_into
-        self._drive = memoryview(drive)  # type: ignore[arg-type]
+        self._drive = memoryview(drive)  # type: ignore[arg-type]  # numpy's stub
         self._periods = {
             chart: library.fast(f"period_{name}", **numbers, **places)
             for chart, name in CHARTS.items()

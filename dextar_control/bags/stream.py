@@ -45,7 +45,7 @@ class BagStream:
         self.full: OSError | None = None
         self._reserve: IO[bytes] | None = None
         self._reserved = 0
-        self._file = open(path, "xb", buffering=0)  # noqa: SIM115
+        self._file = open(path, "xb", buffering=0)
         self.tell, self.flush = self._file.tell, self._file.flush
         try:
             self._keep_free(path.parent, reserve)

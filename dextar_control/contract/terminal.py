@@ -114,13 +114,13 @@ class Terminal(Console):
         """Leave a broken pipe to the caller; rich would end the process with code 1,
         which means that a run was no success.
         """
-        raise  # noqa: PLE0704  called where it is caught
+        raise  # it is called where the error is caught
 
     def render_str(self, text: str, **options: object) -> Text:
         """Do as rich does, without control characters in the text."""
         text = text.translate(_PICTURES)
         # The options are rich's, and handed on as they come; so are those of Steps.
-        return super().render_str(text, **options)  # type: ignore[arg-type]
+        return super().render_str(text, **options)  # type: ignore[arg-type]  # rich's
 
     def working(self, text: str) -> Working:
         """Return a display of what is done, for as long as its context lasts."""
@@ -172,13 +172,13 @@ class Steps(Progress):
 
     def add_task(self, description: str, *options: object, **fields: object) -> TaskID:
         """Do as rich does."""
-        task = super().add_task(description, *options, **fields)  # type: ignore[arg-type]
+        task = super().add_task(description, *options, **fields)  # type: ignore[arg-type]  # rich's
         self._tell(task)
         return task
 
     def update(self, task_id: TaskID, **changes: object) -> None:
         """Do as rich does."""
-        super().update(task_id, **changes)  # type: ignore[arg-type]
+        super().update(task_id, **changes)  # type: ignore[arg-type]  # rich's
         self._tell(task_id)
 
     def advance(self, task_id: TaskID, advance: float = 1) -> None:

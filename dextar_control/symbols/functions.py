@@ -255,7 +255,7 @@ def _buffer_of(function: ca.Function) -> tuple[_Buffer, Callable[[], None]]:
 
 @lru_cache
 def _record(name: str, results: tuple[str, ...]) -> _MakeResults:
-    return cast("_MakeResults", namedtuple(name, results))  # noqa: PYI024
+    return cast("_MakeResults", namedtuple(name, results))
 
 
 def _matrices(table: Array, shape: tuple[int, int]) -> Array:

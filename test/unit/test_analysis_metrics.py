@@ -114,7 +114,7 @@ def test_a_bounce_is_no_crossing_whatever_the_estimate_says(tmp_path: Path) -> N
 
 
 def _table(run: Run) -> str:
-    console = Console(width=120, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    console = Console(width=120, record=True, file=open("/dev/null", "w"))
     console.print(summary_table(compute_metrics(run)))
     return console.export_text()
 
@@ -302,7 +302,7 @@ def test_analysis_leaves_strict_json_a_picture_and_a_table(tmp_path: Path) -> No
     )
     assert content["success"] is True
     assert (tmp_path / "out" / "figure.png").read_bytes().startswith(b"\x89PNG")
-    console = Console(width=100, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    console = Console(width=100, record=True, file=open("/dev/null", "w"))
     console.print(summary_table(metrics))
     text = console.export_text()
     assert "2 of 2 planned" in text

@@ -245,7 +245,7 @@ def loaded(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
         index,
         "get_package_share_directory",
         lambda _: str(Path(PLAIN["params_file"]).parents[1]),
-    )  # noqa: B010
+    )
     monkeypatch.setitem(sys.modules, "ament_index_python.packages", index)
     spec = importlib.util.spec_from_file_location("crossing_launch", LAUNCH_FILE)
     assert spec is not None and spec.loader is not None

@@ -520,7 +520,7 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # a pipe
     argparse.ArgumentParser(
         description=(
             "One session of dextar faults: a JSON request on the standard input."
