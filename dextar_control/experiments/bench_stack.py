@@ -217,10 +217,12 @@ def watch_panel(address: str, seconds: float, stops: int) -> tuple[float, list[f
 def fingerprint(folder: Path) -> str:
     """Return a digest of the joint states in a demo's bag up to the end of its trip,
     all bytes in order; when it stops after that is chance.
+
+    A state that the plant sent again, because its answer was late, counts once.
     """
     from mcap.reader import make_reader
 
-    found, name = hashlib.sha256(), f"/{JOINT_STATES.name}"
+    found, before, name = hashlib.sha256(), b"", f"/{JOINT_STATES.name}"
     metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
     end = (metrics["start_stamp"] or 0) + 1.0e9 * (metrics["tracked_until"] or 0.0)
     with (folder / "run.mcap").open("rb") as stream:
@@ -228,8 +230,9 @@ def fingerprint(folder: Path) -> str:
             topics=[name], log_time_order=False
         ):
             seconds, nanoseconds = struct.unpack_from("<iI", message.data, 4)
-            if 1_000_000_000 * seconds + nanoseconds <= end:
+            if message.data != before and 1_000_000_000 * seconds + nanoseconds <= end:
                 found.update(message.data)
+            before = message.data
     return found.hexdigest()[:16]
 
 
