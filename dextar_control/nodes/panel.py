@@ -10,12 +10,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.executors import Executor
+from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract import style
 from dextar_control.contract.errors import DextarError, ParameterError
@@ -190,17 +192,24 @@ class PanelNode(DextarNode):
             with contextlib.suppress(RuntimeError):  # the panel has ended meanwhile
                 loop.call_soon_threadsafe(answer, ok, text, more or {})
 
+        def desk(work: Callable[[], str]) -> None:
+            me.do(work, told)
+
         requests: dict[str, Callable[[], None]] = {
             "stop": lambda: me.stop_now(told),
-            "enable": lambda: me.enable(_flag(asked, "on"), told),
-            "reset": lambda: me.reset(told),
-            "activate": lambda: me.activate(told),
+            "enable": lambda: desk(
+                partial(me.ask_controller, SetBool, "enable", data=_flag(asked, "on"))
+            ),
+            "reset": lambda: desk(partial(me.ask_controller, Trigger, "reset")),
+            "activate": lambda: desk(me.activate),
             "go": lambda: me.go(task_of(asked), told),
-            "set": lambda: me.put(asked["node"], asked["values"], told),
-            "record": lambda: me.record(
-                _flag(asked, "on"),
-                {f"run.{key}": str(asked[key]) for key in ("name", "notes")},
-                told,
+            "set": lambda: desk(partial(me.put, asked["node"], asked["values"])),
+            "record": lambda: desk(
+                partial(
+                    me.record,
+                    _flag(asked, "on"),
+                    {f"run.{key}": str(asked[key]) for key in ("name", "notes")},
+                )
             ),
             "plan": lambda: self._plan(task_of(asked), told),
             "near": lambda: self._near(asked["point"], told),
@@ -508,7 +517,7 @@ def spin(node: PanelNode, executor: Executor, stop: StopSignal) -> None:
     def hear() -> None:
         while not ended.is_set():
             executor.spin_once(timeout_sec=HEARING)
-            node.operator.heard()
+            node.operator.notify()
 
     async def serve() -> None:
         try:
