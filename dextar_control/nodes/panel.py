@@ -14,7 +14,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.executors import Executor
 from std_srvs.srv import SetBool, Trigger
@@ -33,13 +32,14 @@ from dextar_control.contract.topics import (
     PHASES,
 )
 from dextar_control.control.supervisor import WATCHES
+from dextar_control.nodekit.cdr import NANOSECONDS, from_time
 from dextar_control.nodekit.job_queue import GivenUp, JobQueue
 from dextar_control.nodekit.node import DextarNode, run_node
 from dextar_control.nodekit.scheduling import stand_back
 from dextar_control.nodes.newest import NewestSamples
 from dextar_control.nodes.panel_operator import SET, PanelOperator, task_of
 from dextar_control.nodes.scene import Scene, View
-from dextar_control.nodes.task import Task, in_words, plan_from
+from dextar_control.nodes.task import Task, in_words, place_told, plan_from
 from dextar_control.panel.server import PanelServer, Reply
 from dextar_control.panel.words import shown_margins, trouble_and_remedy
 from dextar_control.planning.locus import LocusPoint, nearest_point
@@ -223,12 +223,10 @@ class PanelNode(DextarNode):
         """Plan as the trajectory server would, from where the robot stands; a newer
         request ends an older one.
         """
-        server = self.operator.values.get("trajectory_server") or node_defaults(
-            "trajectory_server"
-        )
+        server = self.operator.values.get("trajectory_server", {})
         values = {**node_defaults("trajectory_server"), **server, **changes}
         wanted = self._wanted = object()
-        task, origin = Task.from_values(values), self._origin()
+        task, origin = Task.from_values(values), place_told(self.operator.controller)
 
         def progress(fraction: float, stage: str) -> None:
             if self._wanted is not wanted:
@@ -288,13 +286,6 @@ class PanelNode(DextarNode):
 
         self._jobs.submit(lambda: nearest_point(self.robot, x), done)
 
-    def _origin(self) -> Array | None:
-        """Return where the robot stands, (2,), m; None where that is not known."""
-        x = np.array(
-            [float(self.operator.controller.get(axis, "nan")) for axis in ("x", "y")]
-        )
-        return x if np.isfinite(x).all() else None
-
     def _make_report(self, told: Told) -> None:
         """Have the last recording analysed, in a process of its own."""
         if not self._bag:
@@ -309,8 +300,7 @@ class PanelNode(DextarNode):
         module = "dextar_control.cli.main"
         command = ["nice", "-n", "10", sys.executable, "-m", module, "analyze"]
         process = await asyncio.create_subprocess_exec(
-            *command,
-            str(bag),
+            *(*command, str(bag)),
             stdout=asyncio.subprocess.DEVNULL,
             stderr=asyncio.subprocess.PIPE,
         )
@@ -318,12 +308,12 @@ class PanelNode(DextarNode):
         said = errors.decode(errors="replace").strip().splitlines()
         page = bag.parent / "report.html"
         # 1: the run is no success, or not whole
-        if process.returncode not in (0, 1) or not page.is_file():
+        if process.returncode in (0, 1) and page.is_file():
+            self._report = page
+            told(True, f"{page} is made", {"report": True})
+        else:
             ended = f"the analysis of {bag} ended with exit code {process.returncode}"
             told(False, said[-1] if said else ended, {})
-            return
-        self._report = page
-        told(True, f"{page} is made", {"report": True})
 
     def show(self) -> None:
         """Send the newest sample to all pages."""
@@ -367,9 +357,11 @@ class PanelNode(DextarNode):
         torque = dict(zip(joints.name, joints.effort, strict=False))
         behind = 0.0
         if scalars:
-            behind = _seconds(stamp) - _seconds(seen[CRITERION.name].header.stamp)
+            behind = (
+                from_time(stamp) - from_time(seen[CRITERION.name].header.stamp)
+            ) / NANOSECONDS
         return {
-            "time": round(_seconds(stamp), 3),
+            "time": round(from_time(stamp) / NANOSECONDS, 3),
             "stale": view.stale,
             "phase": self._scene.phase(view) if abs(behind) < SILENCE else "",
             "links": _rounded(self._scene.linkage(view.q_a, x)),
@@ -390,7 +382,10 @@ class PanelNode(DextarNode):
         """Send what the nodes tell of themselves to all pages."""
         me = self.operator
         told = me.controller if me.fresh("controller") else {}
-        recorder = me.status.get("recorder", {}) if me.fresh("recorder") else {}
+        plant, recorder = (
+            me.status.get(name, {}) if me.fresh(name) else {}
+            for name in ("plant", "recorder")
+        )
         self._bag = recorder.get("bag", self._bag)
         if not self.server.pages:
             return
@@ -399,7 +394,6 @@ class PanelNode(DextarNode):
             for name, values in me.status.items()
             if me.fresh(name)
         }
-        plant = me.status.get("plant", {}) if me.fresh("plant") else {}
         listening = not nodes and time.monotonic() - self._began < LISTENING
         why, action = trouble_and_remedy(self.get_namespace(), told, nodes, listening)
         lost = sum(
@@ -436,13 +430,13 @@ class PanelNode(DextarNode):
 
     def diagnose(self) -> None:
         """Publish diagnostics."""
-        viewers = len(self.server.pages)
+        address = self.server.address.partition("?")[0]
         self.publish_diagnostics(
             DiagnosticStatus.OK,
-            f"at {self.server.address.partition('?')[0]}",
+            f"at {address}",
             {
-                "address": self.server.address.partition("?")[0],
-                "viewers": viewers,
+                "address": address,
+                "viewers": len(self.server.pages),
                 "driven": self.server.driver is not None,
                 "shown": self._shown,
             },
@@ -481,10 +475,6 @@ class PanelNode(DextarNode):
 
 def _known(values: Mapping[str, str], *names: str) -> dict[str, str]:
     return {name: values[name] for name in names if name in values}
-
-
-def _seconds(stamp: Time) -> float:
-    return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
 def _round(value: float) -> float:
