@@ -200,12 +200,7 @@ class PanelOperator(OperatorClient):
             ParameterError: there is no such parameter, or its value cannot be.
             NodesError: the node does not answer, or the controller moves the robot.
         """
-        checked, defaults = {}, node_defaults(node)
-        specs = {spec.name: spec for spec in PARAMETERS[node]} if node in SET else {}
-        for name, value in values.items():
-            if name not in specs:
-                raise ParameterError(f"there is no parameter '{name}' of {node}")
-            checked[name] = check_value(specs[name], value, defaults[name])
+        checked = _checked(node, values)
         anew = {name: checked.pop(name) for name in REBUILT if name in checked}
         if checked:
             self.set_parameters_of(node, checked)
@@ -315,9 +310,21 @@ def task_of(asked: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
     values = task_values(chosen) | {"task.start": asked["start"]}
     if kind == "trip":
         values["task.goal"] = asked["goal"]
-    defaults = node_defaults("trajectory_server")
-    specs = {spec.name: spec for spec in PARAMETERS["trajectory_server"]}
-    return {
-        name: check_value(specs[name], value, defaults[name])
-        for name, value in values.items()
-    }
+    return _checked("trajectory_server", values)
+
+
+def _checked(
+    node: str, values: Mapping[str, ParameterValue]
+) -> dict[str, ParameterValue]:
+    """Return a node's parameters in the types of their defaults.
+
+    Raises:
+        ParameterError: there is no such parameter, or its value cannot be.
+    """
+    checked, defaults = {}, node_defaults(node)
+    specs = {spec.name: spec for spec in PARAMETERS[node]} if node in SET else {}
+    for name, value in values.items():
+        if name not in specs:
+            raise ParameterError(f"there is no parameter '{name}' of {node}")
+        checked[name] = check_value(specs[name], value, defaults[name])
+    return checked
