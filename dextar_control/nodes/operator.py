@@ -117,7 +117,12 @@ class OperatorClient(NodeClient):
             ParameterError: they are refused.
         """
         parameters = [
-            Parameter(name, kind_of(value), value).to_parameter_msg()
+            Parameter(
+                name,
+                # an empty list tells no type; all that are set are of floats
+                Parameter.Type.DOUBLE_ARRAY if isinstance(value, list) else None,
+                value,
+            ).to_parameter_msg()
             for name, value in values.items()
         ]
         answer: SetParametersAtomically.Response = self.ask(
@@ -243,14 +248,6 @@ class OperatorClient(NodeClient):
             self.full("controller"), lifecycle, phase, told.get("enabling", "")
         )
         return f"{text}: {step}" if step else text
-
-
-def kind_of(value: ParameterValue) -> Parameter.Type:
-    """Return a parameter's type; an empty list is one of floats."""
-    if isinstance(value, list):
-        return Parameter.Type.DOUBLE_ARRAY
-    found: Parameter.Type = Parameter.Type.from_parameter_value(value)
-    return found
 
 
 def task_values(asked: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:

@@ -46,8 +46,12 @@ from dextar_control.planning.locus import LocusPoint, nearest_point
 from dextar_control.symbols.types import Array
 
 Told = Callable[[bool, str, Mapping[str, object]], None]
-# Of the command ``dextar panel``, for short; ``--namespace`` besides.
-OPTIONS = {"--host": "host", "--port": "port"}
+# Of the command ``dextar panel``, for short: what ROS calls them.
+OPTIONS = {
+    "--host": ("-p", "panel:host:="),
+    "--port": ("-p", "panel:port:="),
+    "--namespace": ("-r", "__ns:="),
+}
 UNITS = {watch.name: watch.unit for watch in WATCHES}
 
 STATUS_PERIOD = 0.2  # s
@@ -532,13 +536,9 @@ def ros_arguments(words: list[str]) -> list[str]:
     """
     own: list[str] = []
     rest = list(words)
-    while len(rest) > 1 and rest[0] in (*OPTIONS, "--namespace"):
-        name, value = rest.pop(0), rest.pop(0)
-        own += (
-            ["-r", f"__ns:={value}"]
-            if name == "--namespace"
-            else ["-p", f"panel:{OPTIONS[name]}:={value}"]
-        )
+    while len(rest) > 1 and rest[0] in OPTIONS:
+        flag, rule = OPTIONS[rest.pop(0)]
+        own += [flag, rule + rest.pop(0)]
     return ["--ros-args", *own, "--", *rest] if own else rest
 
 
