@@ -44,6 +44,12 @@ class CampaignError(DextarError):
     """A campaign's folder, workers or scheduler cannot be used."""
 
 
+class NodesError(DextarError):
+    """Nodes are not there, do not answer, or did not do what was asked of them; the
+    message says which, and why or what to do.
+    """
+
+
 class CalibrationError(DextarError):
     """Recordings do not tell what was asked of them, or contradict it."""
 

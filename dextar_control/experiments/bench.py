@@ -34,9 +34,9 @@ from dextar_control.experiments.bench_stack import (
     bench_panel,
 )
 from dextar_control.experiments.echo import STAMP
-from dextar_control.experiments.monitor import start_ros
 from dextar_control.experiments.processes import NodesError, Processes, node_arguments
 from dextar_control.model.model import Model
+from dextar_control.nodekit.client import start_ros
 from dextar_control.nodekit.domain import own_domain
 from dextar_control.nodekit.layouts import template
 from dextar_control.nodekit.node import make_executor, qos

@@ -23,13 +23,13 @@ from tornado.websocket import websocket_connect
 
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.topics import JOINT_STATES
-from dextar_control.experiments.monitor import Monitor, monitoring
 from dextar_control.experiments.processes import (
     NodesError,
     Processes,
     node_arguments,
     processor_time,
 )
+from dextar_control.nodekit.client import NodeClient, monitoring
 
 START_TIMEOUT = 60.0  # s until the nodes run
 SETTLING = 2.0  # s of running before their processor time counts
@@ -68,7 +68,10 @@ class RealTimeStack:
     """
 
     def __init__(
-        self, processes: Processes, monitor: Monitor, nodes: Mapping[str, Sequence[str]]
+        self,
+        processes: Processes,
+        monitor: NodeClient,
+        nodes: Mapping[str, Sequence[str]],
     ) -> None:
         self._processes, self.monitor, self._nodes = processes, monitor, nodes
         for name, values in nodes.items():

@@ -38,11 +38,11 @@ from dextar_control.control.law import LAWS
 from dextar_control.control.prepare import prepare
 from dextar_control.estimation.estimator import ESTIMATORS
 from dextar_control.experiments.launch_arguments import PACE
-from dextar_control.experiments.monitor import Monitor, monitoring
 from dextar_control.experiments.processes import NodesError, Processes, node_arguments
 from dextar_control.experiments.run_folder import make_run_folder
 from dextar_control.experiments.start_check import check_start
 from dextar_control.model.model import Model
+from dextar_control.nodekit.client import NodeClient, monitoring
 from dextar_control.nodekit.domain import choose_domain
 from dextar_control.nodes.progress import crossings, unhealthy
 from dextar_control.nodes.task import Task
@@ -59,7 +59,6 @@ CAMERA = {
 STARTING = "starting the nodes"
 START_TIMEOUT = 120.0  # s, on a busy machine
 RUN_TIMEOUT = 20.0  # s beyond 20 times the trip's duration
-RESUME_TIMEOUT = 10.0  # s
 LOADING_NICE = 10
 SAME_PLACE = 1e-9  # m
 LINGER = 0.2  # s of holding after the trip
@@ -123,9 +122,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
             if not arguments.real_time:  # where it could make commands late
                 threading.Thread(target=_load_analysis, daemon=True).start()
             try:
-                resumed = monitor.call(
-                    SetBool, "plant/pause", RESUME_TIMEOUT, data=False
-                )
+                resumed = monitor.call(SetBool, "plant/pause", data=False)
                 if not resumed.success:
                     raise NodesError(f"the plant did not resume: {resumed.message}")
                 _follow(console, monitor, processes)
@@ -315,7 +312,7 @@ def _link_latest(folder: Path) -> None:
 
 
 def _wait_until_ready(
-    console: Terminal, monitor: Monitor, processes: Processes
+    console: Terminal, monitor: NodeClient, processes: Processes
 ) -> None:
     """Wait until the recorder has everybody's parameters, the trajectory is accepted
     and the plant can be resumed.
@@ -352,7 +349,7 @@ def _wait_until_ready(
                 )
 
 
-def _follow(console: Terminal, monitor: Monitor, processes: Processes) -> None:
+def _follow(console: Terminal, monitor: NodeClient, processes: Processes) -> None:
     """Show the progress until the trip is done or the controller gives up."""
     deadline = time.monotonic() + RUN_TIMEOUT
     columns = (

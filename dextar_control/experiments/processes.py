@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from dextar_control.contract import signals
-from dextar_control.contract.errors import DextarError
+from dextar_control.contract.errors import NodesError as NodesError
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
 from dextar_control.executables import EXECUTABLES
 
@@ -33,12 +33,6 @@ STOP_ORDER = "trajectory_server", "panel", "controller", "plant", "recorder"
 PR_SET_PDEATHSIG = 1  # of Linux' prctl
 LIBC = ctypes.CDLL(None)
 STOP_TIMEOUT = 15.0  # s until a node that does not end is killed
-
-
-class NodesError(DextarError):
-    """The nodes could not be started, or did not do what was asked of them; the message
-    says which and why.
-    """
 
 
 class _Fork:

@@ -26,18 +26,17 @@ from std_srvs.srv import Trigger
 from dextar_control.contract.signals import EXIT_FAILED, run_command
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 from dextar_control.contract.yaml_text import assignment
-from dextar_control.experiments.monitor import Monitor, monitoring
 from dextar_control.experiments.processes import (
     NodesError,
     Processes,
     node_arguments,
     processor_time,
 )
+from dextar_control.nodekit.client import NodeClient, monitoring
 from dextar_control.nodekit.domain import choose_domain
 
 CAMERA_RATE = 1000.0  # Hz
 TOUR_PERIOD = 30  # s between two tours
-ANSWER = 5.0  # s
 STARTING = 120.0  # s until the nodes have to be there
 
 
@@ -143,15 +142,15 @@ def run(seconds: int, output: Path, reliable: bool) -> int:
     return EXIT_FAILED if any(row.missing or row.dropped for row in found) else 0
 
 
-def _tour_starts(monitor: Monitor) -> bool:
+def _tour_starts(monitor: NodeClient) -> bool:
     """Ask the trajectory server for another tour; tell whether it is granted."""
     try:
-        return monitor.call(Trigger, "trajectory_server/start", ANSWER).success
+        return monitor.call(Trigger, "trajectory_server/start").success
     except NodesError:
         return False
 
 
-def _wait_for_all(monitor: Monitor, processes: Processes, output: Path) -> None:
+def _wait_for_all(monitor: NodeClient, processes: Processes, output: Path) -> None:
     def accepted() -> bool:
         processes.check()
         return monitor.get("controller", "trajectory") == "accepted"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from operator import itemgetter
 from typing import TypeVar
 
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Duration, Time
 from rclpy.serialization import serialize_message
 
 from dextar_control.contract.decoding import places_of, types
@@ -20,6 +20,11 @@ T = TypeVar("T")
 def to_time(stamp: int) -> Time:
     """Return integer nanoseconds as a ROS stamp."""
     return Time(sec=stamp // NANOSECONDS, nanosec=stamp % NANOSECONDS)
+
+
+def to_duration(nanoseconds: int) -> Duration:
+    """Return integer nanoseconds as a ROS duration."""
+    return Duration(sec=nanoseconds // NANOSECONDS, nanosec=nanoseconds % NANOSECONDS)
 
 
 def from_time(time: Time) -> int:

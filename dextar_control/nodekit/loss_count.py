@@ -41,31 +41,20 @@ class LossCount:
         """Count anew from the next sample on."""
         self.received = self.lost = 0
 
-    def see(self, number: int | None) -> int:
-        """Count one sample; return how many are missing before it."""
+    def see(self, number: int | None) -> None:
+        """Count one sample, and those that are missing before it."""
         self.received += 1
-        if number is None or number == UNSUPPORTED or number == 0:
+        if not number or number == UNSUPPORTED:
             self.supported = False
-            return 0
-        expected = self._expected
-        if expected and expected[0] == number:
-            expected[0] = number + 1
-            return 0
-        return self._settle(number)
-
-    def _settle(self, number: int) -> int:
+            return
         expected = self._expected
         if number in expected:
             expected.remove(number)
-            expected.insert(0, number + 1)
-            return 0
-        publishers = self._count_publishers()
-        behind = [other for other in expected if other < number]
-        if not behind or (len(expected) < publishers and publishers > 1):
-            expected.insert(0, number + 1)
-            return 0
-        mine = behind[0] if publishers <= 1 else max(behind)
-        expected.remove(mine)
+        else:
+            publishers = self._count_publishers()
+            behind = [other for other in expected if other < number]
+            if behind and (len(expected) >= publishers or publishers <= 1):
+                mine = behind[0] if publishers <= 1 else max(behind)
+                expected.remove(mine)
+                self.lost += number - mine
         expected.insert(0, number + 1)
-        self.lost += number - mine
-        return number - mine

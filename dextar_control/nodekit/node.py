@@ -26,7 +26,7 @@ from rcl_interfaces.msg import (
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
-from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.executors import Executor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
@@ -61,12 +61,16 @@ from dextar_control.contract.robot import (
     changed,
     from_flat,
 )
-from dextar_control.contract.signals import StopSignal, caused_by_interrupt, tell
+from dextar_control.contract.signals import (
+    EXIT_USAGE,
+    StopSignal,
+    caused_by_interrupt,
+    tell,
+)
 from dextar_control.contract.topics import DIAGNOSTICS, Topic
 from dextar_control.contract.yaml_text import check_parameter_files
 from dextar_control.nodekit.services import PolledServices
 
-EXIT_USAGE = 2
 LAST_SAMPLES = 1.0  # s given to readers that want every sample, when a node ends
 COMPLAINT_PERIOD = 1.0  # s between two lines about services that failed
 N = TypeVar("N", bound="RunnableNode")
@@ -183,7 +187,9 @@ class DextarNode(RunnableNode):
         self.values = settled(name, self.PARAMETERS, overrides, robot=robot)
         for spec in self._specs.values():
             value = self.values[spec.name]
-            self._declare(spec.name, value, _descriptor(spec, value))
+            self.declare_parameter(
+                spec.name, value, _descriptor(spec, value), ignore_override=True
+            )
         if robot:
             told = {
                 key.removeprefix(PREFIX): value
@@ -199,10 +205,11 @@ class DextarNode(RunnableNode):
                     if hasattr(value, "__len__") and not isinstance(value, str)
                     else value
                 )
-                self._declare(
+                self.declare_parameter(
                     f"{PREFIX}{key}",
                     plain,
                     ParameterDescriptor(description=ROBOT_KEYS[key], read_only=True),
+                    ignore_override=True,
                 )
         self.add_on_set_parameters_callback(self._on_set)
         self._diagnostics = self.create_publisher(
@@ -282,11 +289,6 @@ class DextarNode(RunnableNode):
         """Destroy a subscription, polled or not; another one may get its identity."""
         self._polled.discard(id(subscription))
         return bool(super().destroy_subscription(subscription))
-
-    def _declare(
-        self, name: str, value: ParameterValue, descriptor: ParameterDescriptor
-    ) -> None:
-        self.declare_parameter(name, value, descriptor, ignore_override=True)
 
     def set_parameters_atomically(
         self, parameter_list: list[RosParameter]
@@ -385,7 +387,7 @@ class DextarNode(RunnableNode):
         """
         status = DiagnosticStatus(
             level=level,
-            name=f"{self.get_fully_qualified_name()}",
+            name=self.get_fully_qualified_name(),
             message=message,
             hardware_id="dextar",
         )
@@ -415,19 +417,16 @@ def _descriptor(spec: Parameter, value: ParameterValue) -> ParameterDescriptor:
     return descriptor
 
 
-def make_executor(kind: str = "events") -> Executor:
+def make_executor() -> Executor:
     """Return the events executor where this rclpy has it, else the
     single-threaded one.
     """
-    if kind == "events":
-        try:
-            from rclpy.experimental.events_executor import EventsExecutor
-
-            events: Executor = EventsExecutor()
-            return events
-        except ImportError:
-            pass
-    return SingleThreadedExecutor()
+    try:
+        from rclpy.experimental.events_executor import EventsExecutor as Chosen
+    except ImportError:
+        from rclpy.executors import SingleThreadedExecutor as Chosen
+    executor: Executor = Chosen()
+    return executor
 
 
 def prepare_middleware() -> None:

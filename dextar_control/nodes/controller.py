@@ -184,9 +184,7 @@ class ControllerNode(ManagedNode):
             self._enable_itself()
         self._logged_phase = (self._loop.phase, self._loop.reason)
         self._active = True
-        self.get_logger().info(
-            f"waiting for {self.resolve_topic_name(JOINT_STATES.name)}"
-        )
+        self.get_logger().info(f"waiting for {self._state_topic}")
 
     def deactivate(self) -> None:
         """Take the torque away at once, and keep the believed assembly mode in the
@@ -412,11 +410,7 @@ class ControllerNode(ManagedNode):
         """
         self._statistics.counts["refused_states"] += 1
         self._look_at_publishers()
-        reason = (
-            f"{error}; {self._second_publishers}"
-            if self._second_publishers
-            else str(error)
-        )
+        reason = "; ".join(filter(None, (str(error), self._second_publishers)))
         self._stream.spoil(reason)
         if loop.phase not in (Phase.IDLE, Phase.FAULT) and isinstance(
             error, StateError
@@ -424,15 +418,15 @@ class ControllerNode(ManagedNode):
             loop.fault(reason)
         else:
             self.get_logger().error(reason, throttle_duration_sec=1.0)
-        if (loop.phase, loop.reason) != self._logged_phase:
-            self._log_phase()
+        self._log_phase()
 
     def _log_phase(self, *, answered: bool = False) -> None:
-        """Tell a change of phase; one that no state has answered yet takes the torque
-        away at once.
+        """Tell a change of phase, if there is one; one that no state has answered yet
+        takes the torque away at once.
         """
         loop = self._loop
-        assert loop is not None
+        if loop is None or (loop.phase, loop.reason) == self._logged_phase:
+            return
         if loop.phase in LATCHED and self._logged_phase[0] is not loop.phase:
             late = second = ""
             # Late commands may be why a watch tripped: they are told before it.
@@ -481,11 +475,10 @@ class ControllerNode(ManagedNode):
         self._tell_pose()
         if loop.phase in (Phase.IDLE, Phase.FAULT):
             return
-        if self._other_commanders or self._states_are_mixed:
-            loop.fault(self._other_commanders or self._second_publishers)
+        if conflict := self._conflict:
+            loop.fault(conflict)
         self._watch_stall(loop)
-        if (loop.phase, loop.reason) != self._logged_phase:
-            self._log_phase()
+        self._log_phase()
 
     def _look_at_publishers(self) -> None:
         self._second_publishers = self.too_many_publishers(self._state_topic)
@@ -496,6 +489,12 @@ class ControllerNode(ManagedNode):
         no harm.
         """
         return bool(self._second_publishers) and self._stream.mixed(time.perf_counter())
+
+    @property
+    def _conflict(self) -> str:
+        """Who else commands, or sends states; empty where nobody does."""
+        mixed = self._second_publishers if self._states_are_mixed else ""
+        return self._other_commanders or mixed
 
     def _next_step(self) -> str:
         """Return what to call for a robot that is held."""
@@ -511,10 +510,8 @@ class ControllerNode(ManagedNode):
         age = time.perf_counter() - self._statistics.arrival
         if math.isnan(age) or self._lockstep:
             return
-        limit, fatal = (
-            self.values["joint_states.timeout"],
-            self.values["joint_states.stall_timeout"],
-        )
+        names = "joint_states.timeout", "joint_states.stall_timeout"
+        limit, fatal = (self.values[name] for name in names)
         if age > limit and not self._stalled:
             self._stalled = True
             self._statistics.counts["stalls"] += 1
@@ -555,8 +552,8 @@ class ControllerNode(ManagedNode):
         """
         if not self._active:
             raise StateError(f"the controller is {self.lifecycle}; {self._next_step()}")
-        if self._other_commanders or self._states_are_mixed:
-            raise StateError(self._other_commanders or self._second_publishers)
+        if conflict := self._conflict:
+            raise StateError(conflict)
         self._stream.check(
             self.values["joint_states.healthy_time"],
             self.values["joint_states.timeout"],
@@ -571,8 +568,8 @@ class ControllerNode(ManagedNode):
         self._automatic = False
         try:
             self._look_at_publishers()
-            if self._other_commanders or self._states_are_mixed:
-                raise StateError(self._other_commanders or self._second_publishers)
+            if conflict := self._conflict:
+                raise StateError(conflict)
             self._enable(self._loop)
         except StateError as error:
             self._enabling = f"refused: {error}"
@@ -645,18 +642,10 @@ class ControllerNode(ManagedNode):
 
     def _answer(self, response: R, success: bool, message: str = "") -> R:
         """Return a service's response, once the change of phase is told."""
-        loop = self._loop
-        if (
-            loop is not None
-            and self._active
-            and (loop.phase, loop.reason) != self._logged_phase
-        ):
+        loop, state = self._loop, self.lifecycle
+        if loop is not None and self._active:
             self._log_phase()
-        state = (
-            f"phase {loop.phase.name} {loop.reason}".strip()
-            if loop is not None and self._active
-            else self.lifecycle
-        )
+            state = f"phase {loop.phase.name} {loop.reason}".strip()
         if not success and (step := self._next_step()):
             state = f"{state}; {step}"
         response.success, response.message = success, message or state
@@ -673,11 +662,8 @@ class ControllerNode(ManagedNode):
         values |= {name: self.values[name] for name in ("law", "estimator")}
         loop = self._loop
         if loop is None:
-            return (
-                DiagnosticStatus.OK,
-                self.lifecycle,
-                {**values, "phase": "", "reason": ""},
-            )
+            values |= {"phase": "", "reason": ""}
+            return DiagnosticStatus.OK, self.lifecycle, values
         self._tell_crossings(loop)
         limit = self.values["joint_states.timeout"]
         values |= {
@@ -740,7 +726,8 @@ class ControllerNode(ManagedNode):
         told = [
             self._other_commanders,
             second,
-            self._other_servers(),
+            # The newest trajectory counts, whoever serves it.
+            self.too_many_publishers(self.resolve_topic_name(TRAJECTORY.name)),
             self._pose_complaint(),
         ]
         if self._active and not self._lockstep:
@@ -755,12 +742,6 @@ class ControllerNode(ManagedNode):
         if self._enabling.startswith("refused"):
             told.append(f"enabling was {self._enabling}")
         return [text for text in told if text]
-
-    def _other_servers(self) -> str:
-        """Return who serves trajectories where there are two; the newest trajectory
-        counts, whoever serves it.
-        """
-        return self.too_many_publishers(self.resolve_topic_name(TRAJECTORY.name))
 
     def close(self) -> None:
         """Publish diagnostics, and zero torque in answer to the last state."""

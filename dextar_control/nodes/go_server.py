@@ -17,13 +17,9 @@ from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.signals import Interrupted, StopSignal
 from dextar_control.contract.topics import GO
+from dextar_control.nodekit.client import TICK
 from dextar_control.nodekit.node import RunnableNode, run_node
-from dextar_control.nodes.operator import (
-    TICK,
-    OperatorClient,
-    TripFollower,
-    task_values,
-)
+from dextar_control.nodes.operator import OperatorClient, TripFollower, task_values
 
 LAST_RESULT = 1.0  # s in which the result of a trip that a signal ended is sent
 
@@ -123,11 +119,8 @@ class GoServer(OperatorClient, RunnableNode):
             )
 
         self.status.clear()  # of nodes that may have ended
-        self.prepare(values_of(goal.request))
         trip = TripFollower(self, show, say)
-        trip.start()
-        trip.follow()
-        good = trip.end()
+        good = trip.run(values_of(goal.request))
         result.done, result.bag = trip.done, trip.bag
         result.verdicts = [verdict for verdict, _ in trip.verdicts]
         result.confidences = [float(confidence) for _, confidence in trip.verdicts]

@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import PoseStamped, Transform, Twist, Vector3
 from nav_msgs.msg import Path
 from sensor_msgs.msg import JointState
@@ -17,7 +16,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectory
 from dextar_control.contract.errors import StateError, TrajectoryError
 from dextar_control.contract.robot import joint_positions
 from dextar_control.contract.topics import BASE_FRAME, END_EFFECTOR_NAME
-from dextar_control.nodekit.cdr import NANOSECONDS, to_time
+from dextar_control.nodekit.cdr import NANOSECONDS, to_duration, to_time
 from dextar_control.planning.trajectory import Trajectory, quintic
 from dextar_control.symbols.types import Array
 
@@ -84,11 +83,6 @@ def to_trajectory(message: MultiDOFJointTrajectory) -> Trajectory:
     return quintic(table[:, 0], table[:, 1:3], table[:, 3:5], table[:, 5:7])
 
 
-def _duration(seconds: float) -> Duration:
-    nanoseconds = round(seconds * NANOSECONDS)
-    return Duration(sec=nanoseconds // NANOSECONDS, nanosec=nanoseconds % NANOSECONDS)
-
-
 def from_trajectory(
     trajectory: Trajectory, times: Array, stamp: int = 0
 ) -> MultiDOFJointTrajectory:
@@ -111,7 +105,7 @@ def from_trajectory(
                 transforms=[Transform(translation=Vector3(x=p[0], y=p[1]))],
                 velocities=[Twist(linear=Vector3(x=v[0], y=v[1]))],
                 accelerations=[Twist(linear=Vector3(x=a[0], y=a[1]))],
-                time_from_start=_duration(float(time)),
+                time_from_start=to_duration(round(float(time) * NANOSECONDS)),
             )
         )
     return message

@@ -10,148 +10,74 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
-from typing import Protocol
 
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.srv import SetParametersAtomically
-from rclpy.client import Client
-from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.task import Future
 from rich.progress import BarColumn, TimeElapsedColumn
 from std_srvs.srv import SetBool, Trigger
 
-from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.errors import NodesError, ParameterError
 from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.signals import EXIT_FAILED, tell
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn, plain
-from dextar_control.contract.topics import DIAGNOSTICS, NODES
-from dextar_control.nodekit.client import client_node
-from dextar_control.nodekit.domain import discovery
-from dextar_control.nodekit.node import prepare_middleware, qos
+from dextar_control.contract.topics import NODES
+from dextar_control.nodekit.client import (
+    ANSWER,
+    SILENCE,
+    NodeClient,
+    StopRequest,
+    client_node,
+)
+from dextar_control.nodekit.node import prepare_middleware
+from dextar_control.nodekit.services import ServiceType
 from dextar_control.nodes.next_step import next_step, why_not
 from dextar_control.nodes.progress import crossing_line, crossings, trip_line, unhealthy
 
-DISCOVERY = 5.0  # s in which a node that runs is heard of
-ANSWER = 10.0  # s in which a service answers that does not plan
-# s without a word of a node that speaks each second, after which it counts as gone
-SILENCE = 10.0
 # s for the trajectory server's part of a stop; on a busy machine it is found up to 3 s
 # after the controller
 SERVER = 5.0
 STOPPING = 30.0  # s in which a stop is over
-TICK = 0.05  # s
 MOVING = ("APPROACH", "TRACK", "CROSSING")
 STOPS = "controller/stop", "trajectory_server/stop"
 GRAPH = 1.5  # s in which it is known which nodes there are
 OK, ERROR = (str(level[0]) for level in (DiagnosticStatus.OK, DiagnosticStatus.ERROR))
 
 
-class Unreached(DextarError):
-    """Nobody is there to ask, or none answers; the message says what to do."""
-
-
-class StopRequest(Protocol):
-    """True from when on what is under way is to end."""
-
-    def __bool__(self) -> bool: ...
-
-    def check(self) -> None:
-        """Raise ``Interrupted`` where it is to end."""
-
-
-class OperatorClient(Node):
-    """Hears what the nodes of one robot tell of themselves, and calls their services.
+class OperatorClient(NodeClient):
+    """Starts, stops, enables and resets one robot, by its nodes' services.
 
     Args:
         namespace: of the robot's nodes.
-        stop: what asks for an end, as the signals to a command's process; None asks
-            for none.
+        stop: as ``NodeClient`` takes it.
         name: of the node.
-
-    Attributes:
-        status: of each node, by its name in the namespace: what it told last, with
-            ``message`` and ``level``.
     """
 
     def __init__(
         self, namespace: str, stop: StopRequest | None = None, name: str = "operator"
     ) -> None:
-        super().__init__(
-            name,
-            namespace=namespace,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
-        self.stop = stop
-        self.status: dict[str, dict[str, str]] = {}
-        self._heard: dict[str, float] = {}
-        self._clients_of: dict[str, Client] = {}
-        self.create_subscription(
-            DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS)
-        )
+        super().__init__(name, namespace, stop)
         # Known before they are needed: a stop waits for no discovery.
         for service in STOPS:
-            self._client(Trigger, service)
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            space, _, name = status.name.rpartition("/")
-            if space == self.get_namespace().rstrip("/"):
-                told = {"message": status.message, "level": str(status.level[0])}
-                self._heard[name] = time.monotonic()
-                self.status[name] = {
-                    item.key: item.value for item in status.values
-                } | told
-
-    def full(self, name: str) -> str:
-        """Return a node's or service's name with the namespace."""
-        return f"{self.get_namespace().rstrip('/')}/{name}"
+            self.client(Trigger, service)
 
     @property
     def controller(self) -> dict[str, str]:
         """What the controller told last."""
         return self.status.get("controller", {})
 
-    def turn(self) -> None:
-        """Hear for a moment."""
-        rclpy.spin_once(self, timeout_sec=TICK)
-
-    def until(
-        self, condition: Callable[[], object], seconds: float, *, through: bool = False
-    ) -> bool:
-        """Hear until something holds; return False where it does not in time.
-
-        Args:
-            condition: true once it holds.
-            seconds: at most.
-            through: whether to go on after a signal.
-
-        Raises:
-            Interrupted: a signal came.
-        """
-        deadline = time.monotonic() + seconds
-        while not condition():
-            if self.stop and not through:
-                self.stop.check()
-            if time.monotonic() > deadline:
-                return False
-            self.turn()
-        return True
-
     def find(self, *names: str) -> None:
         """Wait until these nodes are heard of.
 
         Raises:
-            Unreached: one is not there; says what else is and what to do.
+            NodesError: one is not there; says what else is and what to do.
         """
         for name in names:
             heard = partial(self.status.__contains__, name)
-            if not self.until(heard, DISCOVERY) and not (
+            if not self.until(heard, self.patience[0]) and not (
                 self.count_nodes(name) and self.until(heard, SILENCE)
             ):
-                raise Unreached(self._missing(name))
+                raise NodesError(self.missing(name))
 
     def hear(self, *names: str) -> None:
         """Wait until those of these nodes that are known to be there have told of
@@ -161,35 +87,8 @@ class OperatorClient(Node):
             lambda: all(
                 name in self.status or not self.count_nodes(name) for name in names
             ),
-            DISCOVERY,
+            self.patience[0],
             through=True,
-        )
-
-    def _missing(self, name: str) -> str:
-        nodes = self.get_node_names_and_namespaces()
-        others = sorted(
-            {
-                space
-                for node, space in nodes
-                if node == name and space != self.get_namespace()
-            }
-        )
-        if others:
-            return (
-                f"{self.full(name)} does not run, but there is one in"
-                f" {', '.join(others)}: choose by --namespace"
-            )
-        where = discovery()
-        if name in [node for node, _ in nodes]:
-            return (
-                f"no word of {self.full(name)} for {SILENCE:.0f} s, though it is there"
-                f" ({where}): see its log"
-            )
-        return (
-            f"no word of {self.full(name)} within {DISCOVERY:g} s ({where}): start the"
-            " nodes (ros2 launch dextar crossing.launch.py, or each alone), or set"
-            " ROS_DOMAIN_ID to theirs; dextar demo starts its own and tells its domain"
-            " first"
         )
 
     def count_nodes(self, name: str) -> int:
@@ -200,57 +99,14 @@ class OperatorClient(Node):
         """Check that each of these nodes is there once.
 
         Raises:
-            Unreached: a request would reach two.
+            NodesError: a request would reach two.
         """
         for name in names:
             if (count := self.count_nodes(name)) > 1:
-                raise Unreached(
+                raise NodesError(
                     f"{count} nodes are called {self.full(name)}: end one or give its"
                     " robot a namespace (one that was killed counts for up to 20 s)"
                 )
-
-    def _client(self, kind: type[object], name: str) -> Client:
-        if name not in self._clients_of:
-            self._clients_of[name] = self.create_client(kind, name)
-        return self._clients_of[name]
-
-    def ask(
-        self, kind: type[object], name: str, request: object, *, through: bool = False
-    ) -> Future:
-        """Return the answer of a service, as a future.
-
-        Args:
-            kind: the service's type.
-            name: of the service, relative to the namespace.
-            request: of that type.
-            through: whether to go on after a signal.
-
-        Raises:
-            Unreached: nobody offers it.
-        """
-        client = self._client(kind, name)
-        if not self.until(client.service_is_ready, DISCOVERY, through=through):
-            raise Unreached(self._missing(name.partition("/")[0]))
-        return client.call_async(request)
-
-    def call(
-        self, kind: type[object], name: str, request: object, *, through: bool = False
-    ) -> object:
-        """Return the answer of a service; the arguments are those of ``ask``.
-
-        Raises:
-            Unreached: none comes.
-        """
-        future = self.ask(kind, name, request, through=through)
-        there = self._client(kind, name).service_is_ready
-        over = self.until(lambda: future.done() or not there(), ANSWER, through=through)
-        if not future.done():
-            why = "and it has ended" if over else f"within {ANSWER:.0f} s"
-            raise Unreached(
-                f"no answer of {self.full(name)} {why}; see that its node runs, then"
-                " try again"
-            )
-        return future.result()
 
     def set_parameters_of(
         self, node: str, values: Mapping[str, ParameterValue]
@@ -261,12 +117,18 @@ class OperatorClient(Node):
             ParameterError: they are refused.
         """
         parameters = [
-            Parameter(name, kind_of(value), value).to_parameter_msg()
+            Parameter(
+                name,
+                # an empty list tells no type; all that are set are of floats
+                Parameter.Type.DOUBLE_ARRAY if isinstance(value, list) else None,
+                value,
+            ).to_parameter_msg()
             for name, value in values.items()
         ]
-        request = SetParametersAtomically.Request(parameters=parameters)
-        answer: SetParametersAtomically.Response = self.call(
-            SetParametersAtomically, f"{node}/set_parameters_atomically", request
+        answer: SetParametersAtomically.Response = self.ask(
+            SetParametersAtomically,
+            f"{node}/set_parameters_atomically",
+            parameters=parameters,
         )
         if not answer.result.successful:
             raise ParameterError(answer.result.reason)
@@ -282,7 +144,7 @@ class OperatorClient(Node):
         self.find("controller", "trajectory_server")
         self.alone("controller", "trajectory_server")
         if reason := why_not(self.full("controller"), self.controller):
-            raise Unreached(reason)
+            raise NodesError(reason)
         if values:
             self.set_parameters_of("trajectory_server", values)
 
@@ -290,11 +152,11 @@ class OperatorClient(Node):
         """Return whether a node has told of itself since a moment of the monotonic
         clock, s.
         """
-        return self._heard.get(name, -SILENCE) > moment
+        return self.heard.get(name, -SILENCE) > moment
 
     def silence(self, name: str) -> str:
         """Return that a node has fallen silent; empty when it has not."""
-        age = time.monotonic() - self._heard[name]
+        age = time.monotonic() - self.heard[name]
         return (
             f"no word of {self.full(name)} for {age:.0f} s; see that it runs, and where"
             " the robot is"
@@ -306,7 +168,7 @@ class OperatorClient(Node):
         """Ask for a safe stop, and that nothing that is still planned begins.
 
         Raises:
-            Unreached: no controller answers.
+            NodesError: no controller answers.
         """
         try:
             self.stop_controller()
@@ -317,13 +179,13 @@ class OperatorClient(Node):
         """Ask for a safe stop alone.
 
         Raises:
-            Unreached: no controller answers.
+            NodesError: no controller answers.
         """
-        self.call(Trigger, STOPS[0], Trigger.Request(), through=True)
+        self.call(Trigger, STOPS[0], through=True)
 
     def stop_server(self) -> None:
         """Ask that nothing that is still planned begins."""
-        server = self._client(Trigger, STOPS[1])
+        server = self.client(Trigger, STOPS[1])
         # A robot may do without one.
         if self.until(server.service_is_ready, SERVER, through=True):
             self.until(server.call_async(Trigger.Request()).done, SERVER, through=True)
@@ -352,50 +214,26 @@ class OperatorClient(Node):
         recorder = self.status.get("recorder", {})
         return recorder.get("bag", "") if recorder.get("recording") == "True" else ""
 
-    def ask_controller(self, kind: type[object], name: str, request: object) -> str:
+    def ask_controller(self, kind: ServiceType, name: str, **fields: bool) -> str:
         """Have the controller do something at once; return its state afterwards, in
         words.
 
         Args:
             kind: the service's type.
             name: of the controller's service.
-            request: of that type.
+            fields: of the request.
 
         Raises:
-            Unreached: it refuses, or no one controller answers.
+            NodesError: it refuses, or no one controller answers.
         """
         self.find("controller")
         self.alone("controller")
-        answer: Trigger.Response = self.call(kind, f"controller/{name}", request)
+        answer = self.call(kind, f"controller/{name}", **fields)
         if not answer.success:
-            raise Unreached(answer.message)
+            raise NodesError(answer.message)
         since = time.monotonic()
         self.until(lambda: self.heard_since("controller", since), SILENCE)
         return self.state()
-
-    def trip(
-        self,
-        values: Mapping[str, ParameterValue],
-        show: Callable[[str, float], None],
-        say: Callable[[str], object],
-    ) -> bool:
-        """Set the task, have it planned and started, and follow it; return whether it
-        was done and each planned crossing crossed.
-
-        Args:
-            values: parameters of the trajectory server; what is not given stays as it
-                was set last.
-            show, say: as ``TripFollower`` takes them.
-
-        Raises:
-            Unreached: nothing is started; says why and what to do.
-            ParameterError: the task is refused.
-        """
-        self.prepare(values)
-        trip = TripFollower(self, show, say)
-        trip.start()
-        trip.follow()
-        return trip.end()
 
     def state(self) -> str:
         """Return phase and reason, and what to do next, as the controller told them
@@ -410,14 +248,6 @@ class OperatorClient(Node):
             self.full("controller"), lifecycle, phase, told.get("enabling", "")
         )
         return f"{text}: {step}" if step else text
-
-
-def kind_of(value: ParameterValue) -> Parameter.Type:
-    """Return a parameter's type; an empty list is one of floats."""
-    if isinstance(value, list):
-        return Parameter.Type.DOUBLE_ARRAY
-    found: Parameter.Type = Parameter.Type.from_parameter_value(value)
-    return found
 
 
 def task_values(asked: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
@@ -456,8 +286,8 @@ def operator(namespace: str) -> Iterator[OperatorClient]:
 
 
 class TripFollower:
-    """Starts a trip and follows it to its end, by what trajectory server and controller
-    tell.
+    """Has a trip planned and started, and follows it to its end, by what trajectory
+    server and controller tell.
 
     Args:
         me: the client.
@@ -478,9 +308,7 @@ class TripFollower:
         say: Callable[[str], object],
     ) -> None:
         self._me, self._show, self._say = me, show, say
-        self._before = int(me.controller["trajectories"] or 0)
-        self._completed = me.controller["completed"]
-        self._motions = me.controller["motions"]
+        self._before: dict[str, str] = {}  # what the controller told
         self._told: dict[int, str] = {}
         self._asked = 0.0  # when a stop was, s
         self.begun = self.done = False
@@ -500,15 +328,29 @@ class TripFollower:
             )
         )
 
-    def start(self) -> None:
-        """Have the trip planned and served.
+    def run(self, values: Mapping[str, ParameterValue]) -> bool:
+        """Set the task, have it planned and started, and follow it; return whether it
+        was done and each planned crossing crossed.
+
+        Args:
+            values: parameters of the trajectory server; what is not given stays as it
+                was set last.
 
         Raises:
-            Unreached: that is refused, or nobody answers.
-            Interrupted: a signal came first; nothing moves.
+            NodesError: nothing is started; says why and what to do.
+            ParameterError: the task is refused.
+            Interrupted: a signal came before it began; nothing moves.
         """
+        self._me.prepare(values)
+        self._before = self._me.controller
+        self._start()
+        self._follow()
+        return self._end()
+
+    def _start(self) -> None:
+        """Have the trip planned and served."""
         me = self._me
-        answer = me.ask(Trigger, "trajectory_server/start", Trigger.Request())
+        answer = me.begin(Trigger, "trajectory_server/start")
         while not answer.done():
             if me.stop:
                 me.stop_robot()
@@ -516,19 +358,15 @@ class TripFollower:
                 self._say(f"stopped while the trip was planned: {me.state()}")
                 me.stop.check()
             if silence := me.silence("trajectory_server"):
-                raise Unreached(silence)
+                raise NodesError(silence)
             planning = me.status["trajectory_server"].get("planning", "")
             self._show(f"planning: {planning}" if planning else "planning", 0.0)
             me.turn()
         if not answer.result().success:
-            raise Unreached(answer.result().message)
+            raise NodesError(answer.result().message)
 
-    def follow(self) -> None:
-        """Follow the trip until it ends; a signal begins a safe stop.
-
-        Raises:
-            Unreached: the controller does not take it.
-        """
+    def _follow(self) -> None:
+        """Follow the trip until it ends; a signal begins a safe stop."""
         me, served = self._me, time.monotonic()
         while not self._over():
             if me.stop and not self._asked:
@@ -543,7 +381,7 @@ class TripFollower:
                 self.trouble = silence
                 break
             if not self._arrived and time.monotonic() - served > ANSWER:
-                raise Unreached(
+                raise NodesError(
                     "the trip was served and has not arrived at"
                     f" {me.full('controller')} within {ANSWER:.0f} s"
                 )
@@ -553,13 +391,17 @@ class TripFollower:
 
     @property
     def _arrived(self) -> bool:
-        return int(self._me.controller.get("trajectories") or 0) > self._before
+        now, before = (
+            int(told.get("trajectories") or 0)
+            for told in (self._me.controller, self._before)
+        )
+        return now > before
 
     def _over(self) -> bool:
         me, told = self._me, self._me.controller
         phase, note = told.get("phase", ""), told.get("trajectory", "")
         self.begun = self.begun or (
-            self._arrived and told.get("motions") != self._motions
+            self._arrived and told.get("motions") != self._before["motions"]
         )
         if self._asked:
             return me.heard_since("controller", self._asked) and me.at_rest()
@@ -568,8 +410,8 @@ class TripFollower:
         if not self._arrived:
             return False
         if note.startswith("refused") and not self.begun:
-            raise Unreached(f"the controller {note}")
-        self.done = told["completed"] != self._completed
+            raise NodesError(f"the controller {note}")
+        self.done = told["completed"] != self._before["completed"]
         self.begun = self.begun or self.done or phase in MOVING
         if phase in MOVING or note == "checking":
             return False
@@ -597,7 +439,7 @@ class TripFollower:
             share,
         )
 
-    def end(self) -> bool:
+    def _end(self) -> bool:
         """Say how it ended; return whether it was done and every planned crossing
         crossed.
         """
@@ -625,7 +467,7 @@ class TripFollower:
 
 def go(arguments: argparse.Namespace) -> int:
     """Start a trip and follow it; return the exit code."""
-    values, console = task_values(vars(arguments)), Terminal()
+    console = Terminal()
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -637,11 +479,11 @@ def go(arguments: argparse.Namespace) -> int:
         Steps(*columns, console=console, transient=True) as bars,
     ):
         bar = bars.add_task("planning", total=1.0)
-        good = me.trip(
-            values,
+        good = TripFollower(
+            me,
             lambda text, share: bars.update(bar, description=text, completed=share),
             lambda text: console.print(text, soft_wrap=True),
-        )
+        ).run(task_values(vars(arguments)))
         if me.stop:
             me.stop.check()
     return 0 if good else EXIT_FAILED
@@ -659,21 +501,15 @@ def stop(arguments: argparse.Namespace) -> int:
 
 def enable(arguments: argparse.Namespace) -> int:
     """Switch the torque on or off; return the exit code."""
-    return _ask_controller(
-        arguments, SetBool, "enable", SetBool.Request(data=not arguments.off)
-    )
+    with operator(arguments.namespace) as me:
+        say(me.ask_controller(SetBool, "enable", data=not arguments.off))
+    return 0
 
 
 def reset(arguments: argparse.Namespace) -> int:
     """Leave a fault or a safe stop; return the exit code."""
-    return _ask_controller(arguments, Trigger, "reset", Trigger.Request())
-
-
-def _ask_controller(
-    arguments: argparse.Namespace, kind: type[object], name: str, request: object
-) -> int:
     with operator(arguments.namespace) as me:
-        say(me.ask_controller(kind, name, request))
+        say(me.ask_controller(Trigger, "reset"))
     return 0
 
 

@@ -10,12 +10,13 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.executors import Executor
+from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract import style
 from dextar_control.contract.errors import DextarError, ParameterError
@@ -31,21 +32,26 @@ from dextar_control.contract.topics import (
     PHASES,
 )
 from dextar_control.control.supervisor import WATCHES
+from dextar_control.nodekit.cdr import NANOSECONDS, from_time
 from dextar_control.nodekit.job_queue import GivenUp, JobQueue
 from dextar_control.nodekit.node import DextarNode, run_node
 from dextar_control.nodekit.scheduling import stand_back
 from dextar_control.nodes.newest import NewestSamples
 from dextar_control.nodes.panel_operator import SET, PanelOperator, task_of
 from dextar_control.nodes.scene import Scene, View
-from dextar_control.nodes.task import Task, in_words, plan_from
+from dextar_control.nodes.task import Task, in_words, place_told, plan_from
 from dextar_control.panel.server import PanelServer, Reply
 from dextar_control.panel.words import shown_margins, trouble_and_remedy
 from dextar_control.planning.locus import LocusPoint, nearest_point
 from dextar_control.symbols.types import Array
 
 Told = Callable[[bool, str, Mapping[str, object]], None]
-# Of the command ``dextar panel``, for short; ``--namespace`` besides.
-OPTIONS = {"--host": "host", "--port": "port"}
+# Of the command ``dextar panel``, for short: what ROS calls them.
+OPTIONS = {
+    "--host": ("-p", "panel:host:="),
+    "--port": ("-p", "panel:port:="),
+    "--namespace": ("-r", "__ns:="),
+}
 UNITS = {watch.name: watch.unit for watch in WATCHES}
 
 STATUS_PERIOD = 0.2  # s
@@ -190,17 +196,24 @@ class PanelNode(DextarNode):
             with contextlib.suppress(RuntimeError):  # the panel has ended meanwhile
                 loop.call_soon_threadsafe(answer, ok, text, more or {})
 
+        def desk(work: Callable[[], str]) -> None:
+            me.do(work, told)
+
         requests: dict[str, Callable[[], None]] = {
             "stop": lambda: me.stop_now(told),
-            "enable": lambda: me.enable(_flag(asked, "on"), told),
-            "reset": lambda: me.reset(told),
-            "activate": lambda: me.activate(told),
+            "enable": lambda: desk(
+                partial(me.ask_controller, SetBool, "enable", data=_flag(asked, "on"))
+            ),
+            "reset": lambda: desk(partial(me.ask_controller, Trigger, "reset")),
+            "activate": lambda: desk(me.activate),
             "go": lambda: me.go(task_of(asked), told),
-            "set": lambda: me.put(asked["node"], asked["values"], told),
-            "record": lambda: me.record(
-                _flag(asked, "on"),
-                {f"run.{key}": str(asked[key]) for key in ("name", "notes")},
-                told,
+            "set": lambda: desk(partial(me.put, asked["node"], asked["values"])),
+            "record": lambda: desk(
+                partial(
+                    me.record,
+                    _flag(asked, "on"),
+                    {f"run.{key}": str(asked[key]) for key in ("name", "notes")},
+                )
             ),
             "plan": lambda: self._plan(task_of(asked), told),
             "near": lambda: self._near(asked["point"], told),
@@ -214,12 +227,10 @@ class PanelNode(DextarNode):
         """Plan as the trajectory server would, from where the robot stands; a newer
         request ends an older one.
         """
-        server = self.operator.values.get("trajectory_server") or node_defaults(
-            "trajectory_server"
-        )
+        server = self.operator.values.get("trajectory_server", {})
         values = {**node_defaults("trajectory_server"), **server, **changes}
         wanted = self._wanted = object()
-        task, origin = Task.from_values(values), self._origin()
+        task, origin = Task.from_values(values), place_told(self.operator.controller)
 
         def progress(fraction: float, stage: str) -> None:
             if self._wanted is not wanted:
@@ -279,13 +290,6 @@ class PanelNode(DextarNode):
 
         self._jobs.submit(lambda: nearest_point(self.robot, x), done)
 
-    def _origin(self) -> Array | None:
-        """Return where the robot stands, (2,), m; None where that is not known."""
-        x = np.array(
-            [float(self.operator.controller.get(axis, "nan")) for axis in ("x", "y")]
-        )
-        return x if np.isfinite(x).all() else None
-
     def _make_report(self, told: Told) -> None:
         """Have the last recording analysed, in a process of its own."""
         if not self._bag:
@@ -300,8 +304,7 @@ class PanelNode(DextarNode):
         module = "dextar_control.cli.main"
         command = ["nice", "-n", "10", sys.executable, "-m", module, "analyze"]
         process = await asyncio.create_subprocess_exec(
-            *command,
-            str(bag),
+            *(*command, str(bag)),
             stdout=asyncio.subprocess.DEVNULL,
             stderr=asyncio.subprocess.PIPE,
         )
@@ -309,12 +312,12 @@ class PanelNode(DextarNode):
         said = errors.decode(errors="replace").strip().splitlines()
         page = bag.parent / "report.html"
         # 1: the run is no success, or not whole
-        if process.returncode not in (0, 1) or not page.is_file():
+        if process.returncode in (0, 1) and page.is_file():
+            self._report = page
+            told(True, f"{page} is made", {"report": True})
+        else:
             ended = f"the analysis of {bag} ended with exit code {process.returncode}"
             told(False, said[-1] if said else ended, {})
-            return
-        self._report = page
-        told(True, f"{page} is made", {"report": True})
 
     def show(self) -> None:
         """Send the newest sample to all pages."""
@@ -358,9 +361,11 @@ class PanelNode(DextarNode):
         torque = dict(zip(joints.name, joints.effort, strict=False))
         behind = 0.0
         if scalars:
-            behind = _seconds(stamp) - _seconds(seen[CRITERION.name].header.stamp)
+            behind = (
+                from_time(stamp) - from_time(seen[CRITERION.name].header.stamp)
+            ) / NANOSECONDS
         return {
-            "time": round(_seconds(stamp), 3),
+            "time": round(from_time(stamp) / NANOSECONDS, 3),
             "stale": view.stale,
             "phase": self._scene.phase(view) if abs(behind) < SILENCE else "",
             "links": _rounded(self._scene.linkage(view.q_a, x)),
@@ -381,7 +386,10 @@ class PanelNode(DextarNode):
         """Send what the nodes tell of themselves to all pages."""
         me = self.operator
         told = me.controller if me.fresh("controller") else {}
-        recorder = me.status.get("recorder", {}) if me.fresh("recorder") else {}
+        plant, recorder = (
+            me.status.get(name, {}) if me.fresh(name) else {}
+            for name in ("plant", "recorder")
+        )
         self._bag = recorder.get("bag", self._bag)
         if not self.server.pages:
             return
@@ -390,7 +398,6 @@ class PanelNode(DextarNode):
             for name, values in me.status.items()
             if me.fresh(name)
         }
-        plant = me.status.get("plant", {}) if me.fresh("plant") else {}
         listening = not nodes and time.monotonic() - self._began < LISTENING
         why, action = trouble_and_remedy(self.get_namespace(), told, nodes, listening)
         lost = sum(
@@ -427,13 +434,13 @@ class PanelNode(DextarNode):
 
     def diagnose(self) -> None:
         """Publish diagnostics."""
-        viewers = len(self.server.pages)
+        address = self.server.address.partition("?")[0]
         self.publish_diagnostics(
             DiagnosticStatus.OK,
-            f"at {self.server.address.partition('?')[0]}",
+            f"at {address}",
             {
-                "address": self.server.address.partition("?")[0],
-                "viewers": viewers,
+                "address": address,
+                "viewers": len(self.server.pages),
                 "driven": self.server.driver is not None,
                 "shown": self._shown,
             },
@@ -474,10 +481,6 @@ def _known(values: Mapping[str, str], *names: str) -> dict[str, str]:
     return {name: values[name] for name in names if name in values}
 
 
-def _seconds(stamp: Time) -> float:
-    return float(stamp.sec + 1e-9 * stamp.nanosec)
-
-
 def _round(value: float) -> float:
     return round(float(value), DIGITS) + 0.0  # no minus nothing
 
@@ -508,7 +511,7 @@ def spin(node: PanelNode, executor: Executor, stop: StopSignal) -> None:
     def hear() -> None:
         while not ended.is_set():
             executor.spin_once(timeout_sec=HEARING)
-            node.operator.heard()
+            node.operator.notify()
 
     async def serve() -> None:
         try:
@@ -533,13 +536,9 @@ def ros_arguments(words: list[str]) -> list[str]:
     """
     own: list[str] = []
     rest = list(words)
-    while len(rest) > 1 and rest[0] in (*OPTIONS, "--namespace"):
-        name, value = rest.pop(0), rest.pop(0)
-        own += (
-            ["-r", f"__ns:={value}"]
-            if name == "--namespace"
-            else ["-p", f"panel:{OPTIONS[name]}:={value}"]
-        )
+    while len(rest) > 1 and rest[0] in OPTIONS:
+        flag, rule = OPTIONS[rest.pop(0)]
+        own += [flag, rule + rest.pop(0)]
     return ["--ros-args", *own, "--", *rest] if own else rest
 
 

@@ -15,20 +15,20 @@ from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 
-from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.errors import DextarError, NodesError, ParameterError
 from dextar_control.contract.node_parameters import PARAMETERS
 from dextar_control.contract.parameters import check_value
 from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.signals import Interrupted
+from dextar_control.nodekit.client import TICK
 from dextar_control.nodekit.parameter_snapshot import ParameterSnapshot
 from dextar_control.nodes.operator import (
     MOVING,
-    TICK,
     OperatorClient,
-    Unreached,
+    TripFollower,
     task_values,
 )
 
@@ -43,6 +43,7 @@ LINES = 40  # that are kept of what was said
 EVENTS_DEPTH = 100
 
 Job = Callable[[], str]
+Answer = Callable[[bool, str], None]
 
 
 class PanelOperator(OperatorClient):
@@ -81,13 +82,13 @@ class PanelOperator(OperatorClient):
         """Do nothing: this client hears all the time."""
 
     def turn(self) -> None:
-        """Wait for news, which whoever spins this node tells by ``heard``."""
+        """Wait for news, which whoever spins this node tells by ``notify``."""
         with self._news:
             self._news.wait(TICK)
         if self._leaving:
             raise Interrupted
 
-    def heard(self) -> None:
+    def notify(self) -> None:
         """Tell the waiting threads that something may have come."""
         with self._news:
             self._news.notify_all()
@@ -137,7 +138,7 @@ class PanelOperator(OperatorClient):
             if (known := snapshot.values) is not None
         }
 
-    def stop_now(self, answer: Callable[[bool, str], None]) -> None:
+    def stop_now(self, answer: Answer) -> None:
         """Begin a safe stop, whatever else is under way; ``answer`` is called when the
         controller has answered.
         """
@@ -153,25 +154,7 @@ class PanelOperator(OperatorClient):
         self._do("stop", work, answer)
         self._do("drop", drop, lambda *_: None)
 
-    def enable(self, on: bool, answer: Callable[[bool, str], None]) -> None:
-        """Switch the torque on or off."""
-        self._do(
-            "desk",
-            lambda: self.ask_controller(SetBool, "enable", SetBool.Request(data=on)),
-            answer,
-        )
-
-    def reset(self, answer: Callable[[bool, str], None]) -> None:
-        """Leave a fault or a safe stop."""
-        self._do(
-            "desk",
-            lambda: self.ask_controller(Trigger, "reset", Trigger.Request()),
-            answer,
-        )
-
-    def go(
-        self, values: Mapping[str, ParameterValue], answer: Callable[[bool, str], None]
-    ) -> None:
+    def go(self, values: Mapping[str, ParameterValue], answer: Answer) -> None:
         """Start a trip; ``answer`` is called when it has ended.
 
         Args:
@@ -179,10 +162,10 @@ class PanelOperator(OperatorClient):
             answer: told whether it was done, and why not.
 
         Raises:
-            Unreached: one is under way.
+            NodesError: one is under way.
         """
         if self.progress is not None:
-            raise Unreached(
+            raise NodesError(
                 "a trip of this panel is under way: wait until it ends, or stop it"
             )
         self.progress = "planning", 0.0
@@ -192,81 +175,61 @@ class PanelOperator(OperatorClient):
 
         def work() -> str:
             try:
-                self.trip(values, show, self.note)
+                TripFollower(self, show, self.note).run(values)
             finally:
                 self.progress = None
             return ""  # all is said
 
         self._do("trip", work, answer)
 
-    def put(
-        self,
-        node: str,
-        values: Mapping[str, ParameterValue],
-        answer: Callable[[bool, str], None],
-    ) -> None:
+    def do(self, work: Job, answer: Answer) -> None:
+        """Do what is asked of the robot at rest, one request after the other;
+        ``answer`` is told its text, or why it was not done.
+        """
+        self._do("desk", work, answer)
+
+    def put(self, node: str, values: Mapping[str, ParameterValue]) -> str:
         """Set live parameters of a node; the controller is built anew, without torque,
-        for law and estimator.
+        for law and estimator. Return what they are now, in words.
 
         Args:
             node: its name.
             values: by name.
-            answer: told whether it was done, and why not.
 
         Raises:
             ParameterError: there is no such parameter, or its value cannot be.
+            NodesError: the node does not answer, or the controller moves the robot.
         """
-        checked, defaults = {}, node_defaults(node)
-        specs = {spec.name: spec for spec in PARAMETERS[node]} if node in SET else {}
-        for name, value in values.items():
-            if name not in specs:
-                raise ParameterError(f"there is no parameter '{name}' of {node}")
-            checked[name] = check_value(specs[name], value, defaults[name])
+        checked = _checked(node, values)
         anew = {name: checked.pop(name) for name in REBUILT if name in checked}
+        if checked:
+            self.set_parameters_of(node, checked)
+        if anew:
+            self._rebuild(anew)
+        return "; ".join(
+            f"'{name}' is {value}" for name, value in (checked | anew).items()
+        )
 
-        def work() -> str:
-            if checked:
-                self.set_parameters_of(node, checked)
-            if anew:
-                self._rebuild(anew)
-            return "; ".join(
-                f"'{name}' is {value}" for name, value in (checked | anew).items()
-            )
-
-        self._do("desk", work, answer)
-
-    def activate(self, answer: Callable[[bool, str], None]) -> None:
+    def activate(self) -> str:
         """Have a controller that was let go answer states again."""
+        if self.controller.get("lifecycle") == "unconfigured":
+            self._change("configure")
+        self._change("activate")
+        return "the controller is active"
 
-        def work() -> str:
-            if self.controller.get("lifecycle") == "unconfigured":
-                self._change("configure")
-            self._change("activate")
-            return "the controller is active"
-
-        self._do("desk", work, answer)
-
-    def record(
-        self, on: bool, labels: Mapping[str, str], answer: Callable[[bool, str], None]
-    ) -> None:
+    def record(self, on: bool, labels: Mapping[str, str]) -> str:
         """Begin a recording with this name and these notes, or end the one
-        that is on.
+        that is on; return what became of it, in words.
         """
-
-        def work() -> str:
-            self.find("recorder")
-            self.alone("recorder")
-            self.set_parameters_of("recorder", labels)
-            if (self.status["recorder"].get("recording") == "True") == on:
-                return "name and notes are set"
-            told: Trigger.Response = self.call(
-                Trigger, f"recorder/{'start' if on else 'stop'}", Trigger.Request()
-            )
-            if not told.success:
-                raise Unreached(told.message)
-            return str(told.message)
-
-        self._do("desk", work, answer)
+        self.find("recorder")
+        self.alone("recorder")
+        self.set_parameters_of("recorder", labels)
+        if (self.get("recorder", "recording") == "True") == on:
+            return "name and notes are set"
+        told = self.call(Trigger, f"recorder/{'start' if on else 'stop'}")
+        if not told.success:
+            raise NodesError(told.message)
+        return told.message
 
     def _rebuild(self, values: Mapping[str, ParameterValue]) -> None:
         """Build the controller anew with another law or estimator: it lets go of the
@@ -276,7 +239,7 @@ class PanelOperator(OperatorClient):
         self.alone("controller")
         if (phase := self.controller.get("phase", "")) in MOVING:
             what = ", ".join(values)
-            raise Unreached(
+            raise NodesError(
                 f"the controller is in phase {phase}; {what} can be changed once it"
                 " holds or has stopped"
             )
@@ -290,14 +253,13 @@ class PanelOperator(OperatorClient):
             self._change("activate")
 
     def _change(self, label: str) -> None:
-        request = ChangeState.Request(transition=Transition(label=label))
-        answer: ChangeState.Response = self.call(
-            ChangeState, "controller/change_state", request
+        answer = self.call(
+            ChangeState, "controller/change_state", transition=Transition(label=label)
         )
         if not answer.success:
-            raise Unreached(f"the controller does not {label}; its log says why")
+            raise NodesError(f"the controller does not {label}; its log says why")
 
-    def _do(self, thread: str, work: Job, answer: Callable[[bool, str], None]) -> None:
+    def _do(self, thread: str, work: Job, answer: Answer) -> None:
         """Work in a thread; two panels of one name would ask the same robot, so that is
         refused.
         """
@@ -348,9 +310,21 @@ def task_of(asked: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
     values = task_values(chosen) | {"task.start": asked["start"]}
     if kind == "trip":
         values["task.goal"] = asked["goal"]
-    defaults = node_defaults("trajectory_server")
-    specs = {spec.name: spec for spec in PARAMETERS["trajectory_server"]}
-    return {
-        name: check_value(specs[name], value, defaults[name])
-        for name, value in values.items()
-    }
+    return _checked("trajectory_server", values)
+
+
+def _checked(
+    node: str, values: Mapping[str, ParameterValue]
+) -> dict[str, ParameterValue]:
+    """Return a node's parameters in the types of their defaults.
+
+    Raises:
+        ParameterError: there is no such parameter, or its value cannot be.
+    """
+    checked, defaults = {}, node_defaults(node)
+    specs = {spec.name: spec for spec in PARAMETERS[node]} if node in SET else {}
+    for name, value in values.items():
+        if name not in specs:
+            raise ParameterError(f"there is no parameter '{name}' of {node}")
+        checked[name] = check_value(specs[name], value, defaults[name])
+    return checked

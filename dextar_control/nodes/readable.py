@@ -8,8 +8,6 @@ import importlib
 from collections.abc import Sequence
 from typing import Protocol
 
-from builtin_interfaces.msg import Duration
-
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.topics import (
     INTERFACES,
@@ -17,7 +15,7 @@ from dextar_control.contract.topics import (
     READABLE_STATE,
     WITHOUT_INTERFACES,
 )
-from dextar_control.nodekit.cdr import NANOSECONDS, to_time
+from dextar_control.nodekit.cdr import to_duration, to_time
 from dextar_control.nodekit.node import DextarNode, qos
 
 
@@ -65,9 +63,7 @@ class Readable:
             reference_time: since the trajectory's start, ns.
             criterion: in the order of CRITERION_NAMES.
         """
-        self._messages[0].reference_time = Duration(
-            sec=reference_time // NANOSECONDS, nanosec=reference_time % NANOSECONDS
-        )
+        self._messages[0].reference_time = to_duration(reference_time)
         for publisher, message, values in zip(
             self.publishers, self._messages, (state, criterion), strict=True
         ):

@@ -4,7 +4,8 @@ it.
 
 from __future__ import annotations
 
-import os
+import math
+import shutil
 import time
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
@@ -150,11 +151,7 @@ class BagRecording:
         level, message = DiagnosticStatus.OK, f"recording to {writer.path}"
         free = _free_space(writer.path.parent)
         elapsed = time.monotonic() - self._begun
-        lasts = (
-            free * elapsed / writer.size
-            if writer.size and elapsed > 0
-            else float("inf")
-        )
+        lasts = free * elapsed / writer.size if writer.size else math.inf
         if writer.error is not None:
             level, message = DiagnosticStatus.ERROR, str(writer.error)
         elif self.lost:
@@ -233,7 +230,6 @@ class BagRecording:
 def _free_space(folder: Path) -> float:
     """Return the bytes that the disk still has; nan when it cannot be asked."""
     try:
-        space = os.statvfs(folder)
+        return shutil.disk_usage(folder).free
     except OSError:
-        return float("nan")
-    return space.f_bavail * space.f_frsize
+        return math.nan

@@ -129,25 +129,16 @@ class Scene:
 
     def still(self) -> list[Marker]:
         """Return the markers of base, locus, path and its crossings."""
+        lines, spheres, strip = Marker.LINE_LIST, Marker.SPHERE_LIST, Marker.LINE_STRIP
         markers = [
-            _marker("base", 0, Marker.LINE_LIST, self.motors, STALE, LINE),
-            _marker(
-                "base", 1, Marker.SPHERE_LIST, self.motors, JOINT, 1.4 * JOINT_SIZE
-            ),
+            _marker("base", 0, lines, self.motors, STALE, LINE),
+            _marker("base", 1, spheres, self.motors, JOINT, 1.4 * JOINT_SIZE),
+            _marker("path", 0, strip, self.path, PATH, FINE, 1),
+            _marker("crossings", 0, spheres, self.crossings, KERNEL, DOT, 1),
         ]
         for number, arc in enumerate(self.arcs):
             color = STRETCHED if arc.family is Family.STRETCHED else FOLDED
-            markers.append(
-                _marker("locus", number, Marker.LINE_STRIP, arc.x[::4], color, LINE)
-            )
-        markers.append(
-            _marker("path", 0, Marker.LINE_STRIP, self.path, PATH, FINE, layer=1)
-        )
-        markers.append(
-            _marker(
-                "crossings", 0, Marker.SPHERE_LIST, self.crossings, KERNEL, DOT, layer=1
-            )
-        )
+            markers.append(_marker("locus", number, strip, arc.x[::4], color, LINE))
         return [_living(marker, STILL_LIFETIME) for marker in markers]
 
     def moving(
@@ -166,38 +157,19 @@ class Scene:
         proximal, distal = points[[0, 1, 4, 3]], points[[1, 2, 3, 2]]
         elbows = points[[1, 3]]
         phase = self.phase(view)
+        color = STALE if view.stale else PHASE_COLORS.get(phase, STALE)
+        past = np.array(trail).reshape(-1, 2)
+        lines, spheres, strip = Marker.LINE_LIST, Marker.SPHERE_LIST, Marker.LINE_STRIP
+        rows = (
+            ("linkage", 0, lines, proximal, PROXIMAL, LINK, 3, opacity),
+            ("linkage", 1, lines, distal, DISTAL, 0.7 * LINK, 4, opacity),
+            ("linkage", 2, spheres, elbows, JOINT, JOINT_SIZE, 5, opacity),
+            ("end_effector", 0, spheres, x[None], color, EFFECTOR, 6, opacity),
+            ("reference", 0, spheres, view.x_ref[None], REFERENCE, DOT, 2, 1.0),
+            ("trail", 0, strip, past, JOINT, FINE, 2, 1.0),
+        )
         markers = [
-            _marker(
-                "linkage", 0, Marker.LINE_LIST, proximal, PROXIMAL, LINK, 3, opacity
-            ),
-            _marker(
-                "linkage", 1, Marker.LINE_LIST, distal, DISTAL, 0.7 * LINK, 4, opacity
-            ),
-            _marker(
-                "linkage", 2, Marker.SPHERE_LIST, elbows, JOINT, JOINT_SIZE, 5, opacity
-            ),
-            _marker(
-                "end_effector",
-                0,
-                Marker.SPHERE_LIST,
-                x[None],
-                STALE if view.stale else PHASE_COLORS.get(phase, STALE),
-                EFFECTOR,
-                6,
-                opacity,
-            ),
-            _marker(
-                "reference", 0, Marker.SPHERE_LIST, view.x_ref[None], REFERENCE, DOT, 2
-            ),
-            _marker(
-                "trail",
-                0,
-                Marker.LINE_STRIP,
-                np.array(trail).reshape(-1, 2),
-                JOINT,
-                FINE,
-                2,
-            ),
+            *(_marker(*row) for row in rows),
             self._kernel(view, x),
         ]
         if text:
@@ -232,15 +204,8 @@ class Scene:
 
     def _text(self, view: View, phase: str) -> Marker:
         at = np.array([TEXT_AT])
-        marker = _marker(
-            "text",
-            0,
-            Marker.TEXT_VIEW_FACING,
-            at,
-            STALE if view.stale else DISTAL,
-            TEXT_HEIGHT,
-            8,
-        )
+        kind, color = Marker.TEXT_VIEW_FACING, STALE if view.stale else DISTAL
+        marker = _marker("text", 0, kind, at, color, TEXT_HEIGHT, 8)
         marker.scale = Vector3(z=TEXT_HEIGHT)
         marker.points, marker.pose.position = [], marker.points[0]
         told = {

@@ -63,11 +63,9 @@ class Statistics:
         late.
         """
         self._arrival = math.nan
-        self._intervals.clear()
-        self._latencies.clear()
-        self._ages.clear()
-        self._gaps.clear()
-        self._before.clear()
+        kept = self._intervals, self._latencies, self._ages, self._gaps, self._before
+        for numbers in kept:
+            numbers.clear()
         self._before.append(dict(self.counts))
 
     @property

@@ -237,6 +237,14 @@ def plan_from(robot: RobotParameters, origin: Array, plan: Plan, speed: float) -
     return Plan(trajectory, certify(robot, trajectory, max_residual=PLAN_RESIDUAL))
 
 
+def place_told(told: Mapping[str, str]) -> Array | None:
+    """Return where the robot stands, (2,), m, by the controller's diagnostics; None
+    where they do not say.
+    """
+    x = np.array([float(told.get(axis, "nan")) for axis in ("x", "y")])
+    return x if np.isfinite(x).all() else None
+
+
 def _pair(numbers: Sequence[float]) -> tuple[float, float]:
     return float(numbers[0]), float(numbers[1])
 

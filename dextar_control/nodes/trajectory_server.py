@@ -21,17 +21,18 @@ from dextar_control.contract.errors import DextarError, TrajectoryError
 from dextar_control.contract.node_parameters import PARAMETERS
 from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.contract.signals import EXIT_USAGE
 from dextar_control.contract.topics import (
     DIAGNOSTICS,
     MAX_TRAJECTORY_POINTS,
     TRAJECTORY,
 )
 from dextar_control.nodekit.job_queue import Done, GivenUp, JobQueue
-from dextar_control.nodekit.node import EXIT_USAGE, DextarNode, qos, run_node
+from dextar_control.nodekit.node import DextarNode, qos, run_node
 from dextar_control.nodekit.services import type_of
 from dextar_control.nodes import messages
 from dextar_control.nodes.next_step import command, why_not
-from dextar_control.nodes.task import Task, in_words, plan_from
+from dextar_control.nodes.task import Task, in_words, place_told, plan_from
 from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.planner import Plan
 from dextar_control.planning.profile import sample_times
@@ -146,12 +147,13 @@ class TrajectoryServer(DextarNode):
             else:
                 begin = time.perf_counter()
                 plan = wanted.plan(self.robot, progress or self._jobs.progress)
+                self._jobs.progress(1.0, "")  # what is left to do is no planning
                 self.get_logger().info(
                     f"planned in {time.perf_counter() - begin:.2f} s:"
                     f" {in_words(plan.certificate)}"
                 )
             if drawing and self._drawn != (wanted, drawing):
-                _draw(self.robot, plan, Path(drawing).expanduser())
+                _draw(self.robot, plan, drawing)
                 self._drawn = wanted, drawing
             return wanted, plan
 
@@ -162,10 +164,8 @@ class TrajectoryServer(DextarNode):
         before it, as a message.
         """
         plan_now = self._plan_of(self._task, progress)
-        speed, period = (
-            self.values["task.approach_speed"],
-            self.values["trajectory.sample_period"],
-        )
+        names = "task.approach_speed", "trajectory.sample_period"
+        speed, period = (self.values[name] for name in names)
 
         def work() -> ServedTrip:
             wanted, plan = plan_now()
@@ -202,8 +202,8 @@ class TrajectoryServer(DextarNode):
 
     def _origin(self) -> Array:
         """Return where the robot stands as far as is known, else A; (2,), m."""
-        x = np.array([float(self._controller.get(axis, "nan")) for axis in ("x", "y")])
-        return x if np.isfinite(x).all() else np.array(self._task.start)
+        x = place_told(self._controller)
+        return np.array(self._task.start) if x is None else x
 
     def _publish(self, served: ServedTrip) -> str:
         self._planned = served.task, served.plan
@@ -228,9 +228,7 @@ class TrajectoryServer(DextarNode):
             )
         if reason := self._why_not():
             raise TrajectoryError(reason)
-        if not np.isfinite(
-            [float(self._controller[axis]) for axis in ("x", "y")]
-        ).all():
+        if place_told(self._controller) is None:
             raise TrajectoryError(
                 "the controller has had no joint state yet; see that the rig or plant"
                 " runs"
@@ -393,11 +391,7 @@ class TrajectoryServer(DextarNode):
             and self._drawn is None
         ):
             try:
-                _draw(
-                    self.robot,
-                    self._planned[1],
-                    Path(self.values["drawing"]).expanduser(),
-                )
+                _draw(self.robot, self._planned[1], self.values["drawing"])
             except TrajectoryError as error:
                 self.get_logger().error(str(error))
 
@@ -432,14 +426,15 @@ def served_times(
         period = min(period * len(times) / MAX_TRAJECTORY_POINTS * 1.01, COARSEST)
 
 
-def _draw(robot: RobotParameters, plan: Plan, path: Path) -> None:
-    """Draw a plan.
+def _draw(robot: RobotParameters, plan: Plan, drawing: str) -> None:
+    """Draw a plan into a file.
 
     Raises:
         TrajectoryError: the picture cannot be written.
     """
     from dextar_control.analysis.plan_figure import draw_plan
 
+    path = Path(drawing).expanduser()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         draw_plan(robot, plan).savefig(path, dpi=RESOLUTION)

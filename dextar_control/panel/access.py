@@ -49,24 +49,17 @@ class Access:
                 f"a page of {origin} may not ask the panel at {host}: open the address"
                 " that the panel printed"
             )
-        if self.token:
-            known = hmac.compare_digest(token.encode(), self.token.encode())
+        if self.token and not hmac.compare_digest(token.encode(), self.token.encode()):
             return (
-                ""
-                if known
-                else (
-                    "the token is missing or wrong: open the address that the panel"
-                    " printed, token included"
-                )
+                "the token is missing or wrong: open the address that the panel"
+                " printed, token included"
             )
-        return (
-            ""
-            if _is_here(name)
-            else (
+        if not self.token and not _is_here(name):
+            return (
                 f"the panel is for this machine alone, not for {host}: set its"
                 " parameter host to open it"
             )
-        )
+        return ""
 
 
 def _is_here(name: str) -> bool:

@@ -64,16 +64,12 @@ def trouble_and_remedy(
         )
         return silent if age > SILENT else "", ""
     because = f": {reason}" if reason else ""
-    if phase == "SAFE_STOP":
-        if told.get("stopped") != "True":
-            return f"The robot is being brought to rest{because}.", ""
+    if phase == "SAFE_STOP" and told.get("stopped") != "True":
+        return f"The robot is being brought to rest{because}.", ""
+    if phase in ("SAFE_STOP", "FAULT"):
+        what = phase.capitalize().replace("_", " ")
         return (
-            f"Safe stop{because}. The torque is gone until it is reset and enabled.",
-            "reset",
-        )
-    if phase == "FAULT":
-        return (
-            f"Fault{because}. The torque is gone until it is reset and enabled.",
+            f"{what}{because}. The torque is gone until it is reset and enabled.",
             "reset",
         )
     if told.get("enabling") == "waiting":

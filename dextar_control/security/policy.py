@@ -93,12 +93,6 @@ def _names(*topics: Topic) -> tuple[str, ...]:
     return tuple(topic.name for topic in topics)
 
 
-def _offered_by(node: str) -> tuple[str, ...]:
-    return tuple(
-        service.name.partition("/")[2] for service in SERVICES if service.node == node
-    )
-
-
 def _rights(
     node: str,
     *,
@@ -108,11 +102,12 @@ def _rights(
 ) -> NodeRights:
     """Return the rights that the contract gives one of our nodes, and these more."""
     ends = NODES[node]
+    offers = (item.name.partition("/")[2] for item in SERVICES if item.node == node)
     return NodeRights(
         node,
         (*_names(*ends.publishes), *publishes),
         (*_names(*ends.reads), *reads),
-        _offered_by(node),
+        tuple(offers),
         calls,
     )
 
@@ -243,7 +238,9 @@ def build_policy(namespace: str = "/") -> ElementTree.Element:
     enclaves = ElementTree.SubElement(policy, "enclaves")
     for enclave in ENCLAVES:
         element = ElementTree.SubElement(
-            enclaves, "enclave", path=enclave_path(enclave.name, namespace)
+            enclaves,
+            "enclave",
+            path=f"{namespace.rstrip('/')}/dextar/{enclave.name}",
         )
         # Within its element: sros2 takes every child of enclaves for one.
         element.append(ElementTree.Comment(f" {enclave.why} "))
@@ -251,11 +248,6 @@ def build_policy(namespace: str = "/") -> ElementTree.Element:
         for rights in enclave.rights:
             _add_profile(profiles, rights, namespace)
     return policy
-
-
-def enclave_path(name: str, namespace: str = "/") -> str:
-    """Return the path of an enclave, as ``--enclave`` takes it."""
-    return f"{namespace.rstrip('/')}/dextar/{name}"
 
 
 def _add_profile(

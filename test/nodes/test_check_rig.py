@@ -29,7 +29,7 @@ from fake_driver import INERTIA, START, WATCHDOG, FakeDriver
 from patience import PATIENCE
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rig import start, stop
+from rig import ending_well, start
 from sensor_msgs.msg import JointState
 
 from dextar_control.check_rig.check import (
@@ -817,8 +817,13 @@ def outcome(
     file = tmp_path / "report.json"
     process = check_rig("--json", str(file), *arguments)
     text, _ = process.communicate(timeout=2 * PATIENCE)
-    document = json.loads(file.read_text()) if file.exists() else {"lines": []}
-    return process.returncode, {line["name"]: line for line in document["lines"]}, text
+    return process.returncode, reported(file), text
+
+
+def reported(file: Path) -> dict[str, dict[str, Any]]:
+    """The lines of a report by name; none where it was not written."""
+    lines = json.loads(file.read_text())["lines"] if file.exists() else []
+    return {line["name"]: line for line in lines}
 
 
 def named(lines: dict[str, dict[str, Any]], result: str) -> set[str]:
@@ -844,40 +849,40 @@ def test_the_plant_passes_every_line(tmp_path: Path) -> None:
     """At 200 Hz; its stamps fall behind the clock by each overrun, so their age says
     nothing here.
     """
-    plant = start(
-        "dextar_sim.node",
-        "-r",
-        "__ns:=/left",
-        "-p",
-        "task.sample_period:=0.005",
-        "-p",
-        "drive.command_timeout:=0.1",
-    )
-    try:
+    with ending_well(
+        start(
+            "dextar_sim.node",
+            "-r",
+            "__ns:=/left",
+            "-p",
+            "task.sample_period:=0.005",
+            "-p",
+            "drive.command_timeout:=0.1",
+        )
+    ):
         code, lines, text = outcome(
             tmp_path, "--namespace", "/left", "--yes", "--max-age", "1e3"
         )
-    finally:
-        stop(plant)
     assert named(lines, "PASS") == set(LINES), text
     assert code == 0
 
 
 def test_the_plant_passes_with_arrays_too(tmp_path: Path) -> None:
-    plant = start(
-        "dextar_sim.node",
-        "-p",
-        "task.sample_period:=0.005",
-        "-p",
-        "drive.command_timeout:=0.1",
-        "-p",
-        "command_interface:=effort_array",
-        "-r",
-        "joint_states:=measured",
-        "-r",
-        "effort_commands:=wanted",
-    )
-    try:
+    with ending_well(
+        start(
+            "dextar_sim.node",
+            "-p",
+            "task.sample_period:=0.005",
+            "-p",
+            "drive.command_timeout:=0.1",
+            "-p",
+            "command_interface:=effort_array",
+            "-r",
+            "joint_states:=measured",
+            "-r",
+            "effort_commands:=wanted",
+        )
+    ):
         remapped = ("--states", "measured", "--commands", "wanted")
         code, lines, text = outcome(
             tmp_path,
@@ -888,8 +893,6 @@ def test_the_plant_passes_with_arrays_too(tmp_path: Path) -> None:
             "effort_array",
             *remapped,
         )
-    finally:
-        stop(plant)
     assert named(lines, "PASS") == set(LINES), text
     assert code == 0
 
@@ -947,11 +950,8 @@ def test_states_of_another_type_are_no_states(
 
 
 def test_a_lockstep_plant_is_named(tmp_path: Path) -> None:
-    plant = start("dextar_sim.node", "-p", "mode:=lockstep")
-    try:
+    with ending_well(start("dextar_sim.node", "-p", "mode:=lockstep")):
         code, lines, _ = outcome(tmp_path, "--yes", "--duration", "2")
-    finally:
-        stop(plant)
     assert code == 1
     assert named(lines, "FAIL") == {"states"}
     assert "lockstep" in lines["states"]["measured"]
@@ -1026,7 +1026,7 @@ def test_without_a_yes_the_robot_never_moves(
     assert "emergency stop" in question
     drain(master, node)
     assert process.wait(PATIENCE) == 0
-    lines = {line["name"]: line for line in json.loads(file.read_text())["lines"]}
+    lines = reported(file)
     assert named(lines, "SKIP") == set(TORQUE_LINES)
     assert heard == []
 
@@ -1078,7 +1078,7 @@ def test_a_second_driver_under_torque_ends_it(
     until(node, lambda: any(max(message.effort) > 0.0 for message in heard))
     other = node.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
     text, _ = process.communicate(timeout=2 * PATIENCE)
-    lines = {line["name"]: line for line in json.loads(file.read_text())["lines"]}
+    lines = reported(file)
     assert process.returncode == 1, text
     assert lines["topics"]["result"] == "FAIL"
     assert "2 publishers of states while torque was sent" in lines["topics"]["measured"]

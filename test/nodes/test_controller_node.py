@@ -15,9 +15,8 @@ import pytest
 from closed_loop import turn_round
 from geometry_msgs.msg import PoseStamped
 from patience import PATIENCE
-from rig import Rig, controlled, ending_well, matched, start, stop
+from rig import Rig, controlled, matched, start, stop
 from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
@@ -26,7 +25,6 @@ from dextar_control.control.verdicts import Verdict
 from dextar_control.nodekit.cdr import to_time
 from dextar_control.nodekit.node import qos
 from dextar_control.nodes import messages
-from dextar_control.nodes.trajectory_server import served_times
 from dextar_control.planning.planner import Plan
 from dextar_control.planning.trajectory import Trajectory
 from dextar_sim.plant import Plant
@@ -44,26 +42,11 @@ def rig() -> Iterator[Rig]:
 
 
 @contextlib.contextmanager
-def _controller(*arguments: str) -> Iterator[Rig]:
-    """A controller in lockstep, and this process as its rig."""
-    arguments = (
-        "-p",
-        "controller:lockstep:=true",
-        "-p",
-        "controller:joint_states.healthy_time:=0.0",
-        *arguments,
-    )
-    with contextlib.closing(Rig()) as rig, ending_well(start(MODULE, *arguments)):
-        rig.until(
-            lambda: rig.controller("phase") == "HOLD", "the controller did not start"
-        )
-        rig.until(
-            lambda: (
-                rig.node.count_subscribers("joint_states")
-                and rig.node.count_publishers("joint_commands")
-            ),
-            "no match",
-        )
+def _controller(*parameters: str) -> Iterator[Rig]:
+    """A controller in lockstep that holds, and this process as its rig."""
+    with controlled("joint_states.healthy_time:=0.0", *parameters) as rig:
+        rig.until_phase("HOLD")
+        matched(rig)
         yield rig
 
 
@@ -105,7 +88,7 @@ def test_a_state_that_cannot_be_used_is_a_fault_without_torque(
 ) -> None:
     rig.answer(1 * MS, q_a)
     rig.send(2 * MS, positions, names)
-    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    rig.until_phase("FAULT")
     assert message in rig.controller("reason")
     assert list(rig.answer(3 * MS, q_a + 0.01).effort) == [0.0, 0.0]
 
@@ -115,12 +98,12 @@ def test_a_gap_between_stamps_is_a_fault_until_reset_and_enable(
 ) -> None:
     rig.answer(1 * MS, q_a)
     assert list(rig.answer(22 * MS, q_a + 0.01).effort) == [0.0, 0.0]
-    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    rig.until_phase("FAULT")
     assert "no state for 21.0 ms; the limit is 20.0 ms" in rig.controller("reason")
     assert rig.controller("missed_states") == "20"
-    assert rig.call(Trigger, "controller/reset", Trigger.Request()).success
+    assert rig.reset().success
     assert list(rig.answer(23 * MS, q_a).effort) == [0.0, 0.0]
-    assert rig.call(SetBool, "controller/enable", SetBool.Request(data=True)).success
+    assert rig.enable().success
     for tick in range(24, 80):
         still = rig.answer(tick * MS, q_a)
     assert rig.answer(80 * MS, q_a + [1e-3, 0.0]).effort[0] < still.effort[0]
@@ -135,16 +118,16 @@ def test_states_that_stop_coming_take_the_torque_away_and_then_are_a_fault_that_
         "joint_states.healthy_time:=0.0",
         "joint_states.stall_timeout:=0.1",
     ) as rig:
-        rig.until(lambda: rig.controller("phase") == "HOLD", "does not hold")
+        rig.until_phase("HOLD")
         matched(rig)
         rig.answer(time.time_ns(), q_a)
-        rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+        rig.until_phase("FAULT")
         assert re.fullmatch(
             r"no state for \d+ ms; the limit is 100 ms", rig.controller("reason")
         )
         assert list(rig.commands[-1].effort) == [0.0, 0.0]
         assert rig.controller("stalls") == "1"
-        refused = rig.call(Trigger, "controller/reset", Trigger.Request())
+        refused = rig.reset()
         assert not refused.success
         assert re.fullmatch(
             r"no state for \d+ ms; the limit is 20.0 ms: see that the rig or plant"
@@ -159,7 +142,7 @@ def test_a_second_commander_is_a_fault(rig: Rig, q_a: np.ndarray) -> None:
     other = rig.node.create_publisher(
         JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS)
     )
-    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    rig.until_phase("FAULT")
     assert "2 publishers on /joint_commands; the limit is 1" in rig.controller("reason")
     rig.node.destroy_publisher(other)
     assert list(rig.answer(2 * MS, q_a + 0.01).effort) == [0.0, 0.0]
@@ -175,7 +158,7 @@ def test_a_repeated_state_is_answered_again_and_not_after_a_fault(
     rig.until(lambda: len(rig.commands) > count, "no second answer")
     assert rig.commands[-1].effort == first.effort
     rig.send(3 * MS, [math.nan, 0.0])
-    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    rig.until_phase("FAULT")
     count = len(rig.commands)
     rig.send(2 * MS, q_a)
     rig.until(lambda: len(rig.commands) > count, "no third answer")
@@ -197,29 +180,19 @@ def test_trajectories_are_taken_or_refused_with_the_number(
         lambda: "point 3 has 0 velocities" in rig.controller("trajectory"),
         "not refused",
     )
-    times = np.union1d(trip.certificate.profile.time, trip.certificate.crossing_times)
-    rig.trajectories.publish(
-        messages.from_trajectory(
-            trip.trajectory, times[np.r_[True, np.diff(times) > 2e-9]]
-        )
-    )
+    rig.serve(trip)
     rig.until(lambda: rig.controller("trajectory") == "accepted", "not accepted")
     rig.answer(2 * MS, q_a)
-    rig.until(lambda: rig.controller("phase") == "TRACK", "did not track")
+    rig.until_phase("TRACK")
     rig.trajectories.publish(messages.stop_trajectory())
-    rig.until(lambda: rig.controller("phase") == "SAFE_STOP", "did not stop")
+    rig.until_phase("SAFE_STOP")
 
 
 def test_a_latched_trajectory_from_before_moves_nothing(
     trip: Plan, q_a: np.ndarray
 ) -> None:
     rig = Rig()
-    times = np.union1d(trip.certificate.profile.time, trip.certificate.crossing_times)
-    rig.trajectories.publish(
-        messages.from_trajectory(
-            trip.trajectory, times[np.r_[True, np.diff(times) > 2e-9]]
-        )
-    )
+    rig.serve(trip)
     process = start(MODULE, "-p", "controller:lockstep:=true")
     try:
         rig.until(
@@ -251,7 +224,7 @@ def test_an_external_pose_is_used_or_refused_with_the_numbers(
     lost.
     """
     x, y = trip.trajectory.at(0.0).x.tolist()
-    with _controller("-p", "controller:estimator:=external") as rig:
+    with _controller("estimator:=external") as rig:
         publisher = rig.node.create_publisher(
             PoseStamped, EXTERNAL_POSE.name, qos(EXTERNAL_POSE)
         )
@@ -309,8 +282,7 @@ def test_a_bounce_is_called_one_on_the_topic_and_ends_in_a_safe_stop(
         )
         try:
             plant.reset(trip.trajectory.at(0.0).x)
-            times = served_times(trip.trajectory, trip.certificate, 1e-3)
-            rig.trajectories.publish(messages.from_trajectory(trip.trajectory, times))
+            rig.serve(trip)
             rig.until(
                 lambda: rig.controller("trajectory") == "accepted", "not accepted"
             )
@@ -321,7 +293,7 @@ def test_a_bounce_is_called_one_on_the_topic_and_ends_in_a_safe_stop(
                 plant.step(rig.answer(tick * MS, plant.state().q_a).effort)
                 if abs(1e-3 * tick - blow.time) < 0.5e-3:
                     plant.apply_impulse(blow.impulse)
-            rig.until(lambda: rig.controller("phase") == "SAFE_STOP", "did not stop")
+            rig.until_phase("SAFE_STOP")
             rig.until(
                 lambda: seen and seen[-1]["verdict"] == float(Verdict.BOUNCED),
                 "not on the topic",
@@ -344,28 +316,9 @@ def test_a_bounce_is_called_one_on_the_topic_and_ends_in_a_safe_stop(
 
 
 def test_gains_may_change_live_and_only_within_their_range(rig: Rig) -> None:
-    from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-    from rcl_interfaces.srv import SetParameters
-
-    def put(name: str, value: float) -> tuple[bool, str]:
-        parameter = Parameter(
-            name=name,
-            value=ParameterValue(
-                type=ParameterType.PARAMETER_DOUBLE, double_value=value
-            ),
-        )
-        answer = rig.call(
-            SetParameters,
-            "controller/set_parameters",
-            SetParameters.Request(parameters=[parameter]),
-        )
-        return answer.results[0].successful, answer.results[0].reason
-
-    assert put("feedback.natural_frequency", 50.0)[0]
-    accepted, reason = put("feedback.natural_frequency", 5000.0)
-    assert not accepted
-    assert "500" in reason
-    assert not put("robot.max_torque", 10.0)[0]
+    assert rig.put("controller", feedback__natural_frequency=50.0) == [""]
+    assert "500" in rig.put("controller", feedback__natural_frequency=5000.0)[0]
+    assert rig.put("controller", robot__max_torque=10.0) != [""]
 
 
 @pytest.mark.parametrize(

@@ -11,16 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
 from closed_loop import s_of
 from patience import PATIENCE
 from rcl_interfaces.srv import DescribeParameters, GetParameters
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.node import Node
 from rclpy.serialization import serialize_message
-from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
+from unserved import Unserved
 
 from dextar_control.contract.clocks import UnsteppedClock
 from dextar_control.contract.controller_parameters import CONTROLLER
@@ -37,62 +33,16 @@ from dextar_control.planning.trajectory import Trajectory
 SECOND = 1_000_000_000  # ns
 
 
-class _Unspun:
-    """A controller that does something only when it is told to, and a caller of its
-    services.
-    """
+class _Unspun(Unserved):
+    """A controller that does something only when it is told to."""
 
     def __init__(self) -> None:
-        values = [
-            part
-            for value in ("lockstep:=true", "joint_states.healthy_time:=0.0")
-            for part in ("-p", f"controller:{value}")
-        ]
-        rclpy.init(
-            args=["--ros-args", *values], signal_handler_options=SignalHandlerOptions.NO
-        )
-        self.node = ControllerNode()
-        self._caller = Node("caller")
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._caller)
-        self._clients: dict[str, Any] = {}
+        values = ("lockstep:=true", "joint_states.healthy_time:=0.0")
+        given = [part for value in values for part in ("-p", f"controller:{value}")]
+        super().__init__(ControllerNode, *given)
 
-    def call(self, kind: Any, name: str, request: Any) -> Any:
-        client = self._clients.get(name) or self._caller.create_client(
-            kind, f"controller/{name}"
-        )
-        self._clients[name] = client
-        assert client.wait_for_service(PATIENCE)
-        return client.call_async(request)
-
-    def arrive(self, name: str) -> None:
-        """Wait until a request lies at a service, without taking it."""
-        (service,) = (
-            s for s in self.node._services if s.service_name.rpartition("/")[2] == name
-        )
-        waits = rclpy_implementation.WaitSet(0, 0, 0, 0, 1, 0, self.node.context.handle)
-        with service.handle:
-            waits.clear_entities()
-            waits.add_service(service.handle)
-            waits.wait(round(PATIENCE * 1e9))
-            assert waits.get_ready_entities("service")
-
-    def finish(self, future: Any) -> Any:
-        deadline = time.monotonic() + PATIENCE
-        while not future.done():
-            self.node._watch()
-            self._executor.spin_once(timeout_sec=0.01)
-            assert time.monotonic() < deadline
-        return future.result()
-
-    def close(self) -> None:
-        self._executor.shutdown()
-        self.node.close()
-        self.node.destroy_node()
-        left = [name for name in self._caller.get_node_names() if name == "controller"]
-        self._caller.destroy_node()
-        rclpy.try_shutdown()
-        assert left == [], "a destroyed node stays in the graph"
+    def turn(self) -> None:
+        self.node._watch()
 
 
 @pytest.fixture(scope="module")
@@ -107,20 +57,16 @@ def test_a_watch_period_serves_a_bounded_number_of_requests_however_many_there_a
 ) -> None:
     names = [spec.name for spec in CONTROLLER]
     asked = {
-        "describe_parameters": (
-            DescribeParameters,
-            DescribeParameters.Request(names=names),
-        ),
-        "get_parameters": (GetParameters, GetParameters.Request(names=names)),
-        "enable": (SetBool, SetBool.Request(data=True)),
+        "describe_parameters": (DescribeParameters, {"names": names}),
+        "get_parameters": (GetParameters, {"names": names}),
+        "enable": (SetBool, {"data": True}),
     }
     futures = [
-        controller.call(kind, name, request)
-        for name, (kind, request) in asked.items()
+        controller.call(kind, name, **fields)
+        for name, (kind, fields) in asked.items()
         for _ in range(9)
     ]
-    for name in asked:
-        controller.arrive(name)
+    controller.arrive(*asked)
     served = []
     deadline = time.monotonic() + PATIENCE
     while sum(served) < len(futures):
@@ -129,8 +75,7 @@ def test_a_watch_period_serves_a_bounded_number_of_requests_however_many_there_a
         served.append(controller.node.polled_services.served - before)
         assert time.monotonic() < deadline
     assert max(served) == SERVED_PER_WATCH
-    for future in futures:
-        controller.finish(future)
+    controller.finish(*futures)
 
 
 def test_a_reset_from_before_a_fault_does_not_clear_it(
@@ -141,7 +86,7 @@ def test_a_reset_from_before_a_fault_does_not_clear_it(
     node._on_state(
         template(JOINT_STATES).pack(SECOND, [*q_a.tolist(), 0.0, 0.0, 0.0, 0.0])
     )
-    late = controller.call(Trigger, "reset", Trigger.Request())
+    late = controller.call(Trigger, "reset")
     controller.arrive("reset")
     node._loop.fault("the cause of this test")
     node._log_phase()
@@ -153,9 +98,7 @@ def test_a_reset_from_before_a_fault_does_not_clear_it(
         " clear it"
     )
     assert node._loop.phase is Phase.FAULT
-    assert controller.finish(
-        controller.call(Trigger, "reset", Trigger.Request())
-    ).success
+    assert controller.finish(controller.call(Trigger, "reset")).success
     assert node._loop.phase is Phase.IDLE
 
 

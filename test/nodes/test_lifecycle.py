@@ -43,7 +43,7 @@ def test_every_parameter_is_open_until_configured_and_then_only_the_live_ones(
     assert asleep.change("activate")
     matched(asleep)
     asleep.answer(1 * MS, q_a)
-    asleep.until(lambda: asleep.controller("phase") == "HOLD", "does not hold")
+    asleep.until_phase("HOLD")
     assert (asleep.controller("law"), asleep.controller("estimator")) == (
         "classic",
         "dgm",
@@ -120,13 +120,11 @@ def test_a_fault_stays_latched_over_deactivation(asleep: Rig, q_a: np.ndarray) -
     matched(asleep)
     asleep.answer(1 * MS, q_a)
     asleep.answer(50 * MS, q_a)
-    asleep.until(lambda: asleep.controller("phase") == "FAULT", "no fault")
+    asleep.until_phase("FAULT")
     assert asleep.change("deactivate")
     assert asleep.change("activate")
     asleep.answer(60 * MS, q_a)
-    asleep.until(
-        lambda: asleep.controller("phase") == "FAULT", "the fault is forgotten"
-    )
+    asleep.until_phase("FAULT")
     assert "no state for 49.0 ms" in asleep.controller("reason")
     assert not asleep.enable().success
     assert asleep.reset().success
@@ -176,7 +174,7 @@ def test_a_trajectory_from_while_it_was_not_active_moves_nothing(
     for tick in range(1, 30):
         asleep.answer(tick * MS, q_a)
         assert asleep.lifecycle == "active"  # a watch period each at least
-    asleep.until(lambda: asleep.controller("phase") == "HOLD", "does not hold")
+    asleep.until_phase("HOLD")
     asleep.until(
         lambda: "before this controller began" in asleep.controller("trajectory"),
         "it is not refused",
@@ -191,18 +189,11 @@ def test_a_trajectory_from_while_it_was_not_active_moves_nothing(
 
 
 def test_no_parameter_is_without_description_and_range(asleep: Rig) -> None:
-    names = list(
-        asleep.call(
-            ListParameters, "controller/list_parameters", ListParameters.Request()
-        ).result.names
+    listed = asleep.call(ListParameters, "controller/list_parameters").result.names
+    described = asleep.call(
+        DescribeParameters, "controller/describe_parameters", names=listed
     )
-    request = DescribeParameters.Request(names=names)
-    told = {
-        d.name: d
-        for d in asleep.call(
-            DescribeParameters, "controller/describe_parameters", request
-        ).descriptors
-    }
+    told = {descriptor.name: descriptor for descriptor in described.descriptors}
     assert {spec.name for spec in CONTROLLER} <= told.keys()
     for spec in CONTROLLER:
         descriptor = told[spec.name]

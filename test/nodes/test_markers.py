@@ -16,8 +16,6 @@ import pytest
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point
 from marker_picture import draw, shown
-from rcl_interfaces.msg import Parameter, ParameterValue
-from rcl_interfaces.srv import SetParameters
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from rig import Rig, ending_well, start
@@ -260,16 +258,6 @@ class Display(Rig):
         ]
         self.state.publish(JointTrajectory(joint_names=["x", "y"], points=rows))
 
-    def switch(self, enabled: bool) -> None:
-        client = self.node.create_client(SetParameters, "markers/set_parameters")
-        self.until(client.service_is_ready, "no parameter service")
-        value = Parameter(
-            name="enabled", value=ParameterValue(type=1, bool_value=enabled)
-        )
-        future = client.call_async(SetParameters.Request(parameters=[value]))
-        self.until(future.done, "no answer")
-        assert future.result().results[0].successful
-
 
 @pytest.fixture
 def display() -> Iterator[tuple[Display, subprocess.Popen[str]]]:
@@ -316,11 +304,11 @@ def test_the_node_draws_what_the_topics_say_until_it_is_switched_off_or_ends(
     stamps = [array.markers[0].header.stamp for array in screen.arrays]
     assert all((a.sec, a.nanosec) <= (b.sec, b.nanosec) for a, b in pairwise(stamps))
     assert screen.node.count_publishers("joint_commands") == 0
-    screen.switch(False)
+    assert screen.put("markers", enabled=False) == [""]
     screen.until(lambda: not shown(screen.arrays), "the display was not cleared")
     screen.until(lambda: not readers(), "it still reads")
     screen.arrays.clear()
-    screen.switch(True)
+    assert screen.put("markers", enabled=True) == [""]
     screen.until(lambda: seen("linkage", "locus", "path"), "not drawn again")
     process.send_signal(signal.SIGINT)
     screen.until(

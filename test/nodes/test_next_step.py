@@ -16,8 +16,11 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from dextar_control.contract.errors import TrajectoryError
+from dextar_control.contract.robot import RobotParameters
 from dextar_control.nodes.next_step import next_step
 from dextar_control.nodes.trajectory_server import TrajectoryServer
+from dextar_control.planning.planner import Plan
+from dextar_control.planning.search import Progress
 
 ENABLE = "dextar enable --namespace /left"
 
@@ -162,6 +165,19 @@ def test_a_stop_while_a_trip_is_planned_gives_it_up_and_a_second_one_is_refused_
         "another trip is being planned and starts then: wait, or type dextar stop"
         " --namespace /left"
     ]
+
+
+def test_what_follows_the_plan_is_not_told_as_planning(
+    server: TrajectoryServer, trip: Plan
+) -> None:
+    """A drawing takes longer than the pause between two lines about the progress."""
+
+    def plan(_: RobotParameters, progress: Progress) -> Plan:
+        progress(0.0, "one of many steps")
+        return trip
+
+    server._plan_of(SimpleNamespace(plan=plan))()
+    assert server._jobs.stage == ""
 
 
 def test_a_server_that_waits_to_serve_says_for_what(

@@ -19,6 +19,7 @@ from patience import PATIENCE
 from rig import NODES, start, stop
 
 from dextar_control.cli.main import main
+from dextar_control.nodekit import client
 from dextar_control.nodekit.domain import own_domain
 from dextar_control.nodes import operator
 
@@ -62,6 +63,16 @@ class Robot:
             ):
                 assert time.monotonic() < deadline, text
                 assert trip is None or trip.poll() is None, "it has ended"
+
+    def all_told(self) -> tuple[int, str]:
+        """Exit code and output of a ``status`` that has heard every node."""
+        others = [f"\n{node}: " for node in NODES if node != "controller"]
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            code, text = self("status")
+            if all(line in text for line in others):
+                return code, text
+            assert time.monotonic() < deadline, text
 
     @contextlib.contextmanager
     def trip(self) -> Iterator[subprocess.Popen[str]]:
@@ -157,7 +168,7 @@ def test_a_stop_reaches_a_trajectory_server_that_is_found_late() -> None:
 
         now, stopped = 0.0, False
 
-        def _client(self, *_: object) -> Busy:
+        def client(self, *_: object) -> Busy:
             return self
 
         def service_is_ready(self) -> bool:
@@ -185,6 +196,7 @@ def test_a_stop_reaches_a_trajectory_server_that_is_found_late() -> None:
 
 def test_a_trip_is_followed_to_its_end(robot: Robot) -> None:
     robot.until("HOLD")
+    robot.all_told()  # the recorder, which begins last, is there
     code, text = robot("go")
     assert code == 0, text
     assert re.findall(
@@ -199,13 +211,7 @@ def test_a_trip_is_followed_to_its_end(robot: Robot) -> None:
     )
     assert 0.0 < error < 1.0
     assert re.search(r"^recorded in .*run\.mcap$", text, re.MULTILINE)
-    deadline = time.monotonic() + PATIENCE
-    while not all(
-        f"\n{node}: " in (told := robot("status"))[1]
-        for node in ("plant", "trajectory_server", "recorder")
-    ):
-        assert time.monotonic() < deadline, told
-    code, text = told
+    code, text = robot.all_told()
     assert code == 0
     assert (
         f"crossing 2 of 2, crossed 2 of 2 planned, largest error {error:.3f} mm" in text
@@ -276,7 +282,7 @@ def test_two_nodes_of_one_name_are_told_and_another_namespace_is_named(
 ) -> None:
     deadline = time.monotonic() + PATIENCE
     with monkeypatch.context() as patch:
-        patch.setattr(operator, "DISCOVERY", 2.0)
+        patch.setattr(client, "DISCOVERY", 2.0)
         told = ""
         while (
             "/controller does not run, but there is one in /left: choose by --namespace"
@@ -300,7 +306,7 @@ def test_two_nodes_of_one_name_are_told_and_another_namespace_is_named(
 def test_without_nodes_it_says_how_to_start_some(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(operator, "DISCOVERY", 0.5)
+    monkeypatch.setattr(client, "DISCOVERY", 0.5)
     monkeypatch.setattr(operator, "SERVER", 0.1)
     monkeypatch.setitem(os.environ, "ROS_DOMAIN_ID", str(own_domain()))
     for command in ("go", "stop", "status", "enable", "reset"):

@@ -49,6 +49,7 @@ from dextar_sim.plant import Plant
 
 PERIOD = 1_000_000
 START = (0.0, 0.105)
+PUSH, NONE = [1.0e-4, -1.0e-4], [0.0, 0.0]  # N m
 EXACT = 1.0e-12
 """A float through CDR is itself; the pose is a few roundings away."""
 
@@ -122,17 +123,35 @@ class Commander:
                     item.key: item.value for item in status.values
                 }
 
-    def until(self, condition: Callable[[], bool]) -> None:
+    def until(self, condition: Callable[[], Any]) -> None:
         limit = time.monotonic() + PATIENCE
         while not condition():
             assert time.monotonic() < limit, "nothing more arrived"
             assert self.process.poll() is None, "the plant ended"
             self.executor.spin_once(timeout_sec=0.05)
 
+    def until_effort(self, effort: list[float]) -> None:
+        """Wait until this is the torque that acts, N m."""
+        self.until(lambda: self.states and list(self.states[-1].effort) == effort)
+
     def linger(self, duration: float) -> None:
         end = time.monotonic() + duration
         while time.monotonic() < end:
             self.executor.spin_once(timeout_sec=0.01)
+
+    def leave_one_out(self) -> list[int]:
+        """Answer each state but, when it comes first, the one after ten periods; the
+        stamps of those that come, ns.
+        """
+        asked: list[int] = []
+
+        def answer(state: JointState) -> JointState | None:
+            asked.append(from_time(state.header.stamp))
+            first = asked[-1] == 10 * PERIOD and asked.count(asked[-1]) == 1
+            return None if first else wavy_answer(state)
+
+        self.answer = answer
+        return asked
 
     def call(self, name: str, kind: Any, **fields: Any) -> Any:
         if (
@@ -169,6 +188,10 @@ def stamps(states: list[Any]) -> list[int]:
 
 def by_stamp(messages: list[Any]) -> dict[int, Any]:
     return dict(zip(stamps(messages), messages, strict=True))
+
+
+def push(state: JointState) -> JointState:
+    return command(state, PUSH)
 
 
 def wavy_answer(state: JointState) -> JointState:
@@ -250,7 +273,7 @@ def test_lockstep_applies_each_answer_over_the_period_it_answers(
     joints, platforms = by_stamp(commander.joints), by_stamp(commander.platform)
     plant = Plant(load_robot(config_file("dextar.yaml")))
     plant.reset(START)
-    applied = [0.0, 0.0]
+    applied = NONE
     for index in range(200):
         state, truth = plant.state(), joints[PERIOD * index]
         assert list(commander.states[index].position) == state.q_a.tolist()
@@ -274,7 +297,7 @@ def test_command_delay_is_whole_periods(start: Callable[..., Commander]) -> None
     commander = lockstep_run(start, 50, drive__command_delay="0.004")
     for index, state in enumerate(commander.states[:50]):
         assert list(state.effort) == (
-            wavy(PERIOD * (index - 5)) if index >= 5 else [0.0, 0.0]
+            wavy(PERIOD * (index - 5)) if index >= 5 else NONE
         )
 
 
@@ -315,17 +338,7 @@ def test_external_noise_repeats_and_a_repeated_state_brings_no_second_pose(
             external_pose__noise="1.0e-3",
             seed="7",
         )
-        asked: list[int] = []
-
-        def answer(state: JointState, asked: list[int] = asked) -> JointState | None:
-            asked.append(from_time(state.header.stamp))
-            return (
-                None
-                if asked[-1] == 10 * PERIOD and asked.count(asked[-1]) == 1
-                else wavy_answer(state)
-            )
-
-        commander.answer = answer
+        asked = commander.leave_one_out()
         commander.until(lambda commander=commander: len(commander.poses) >= 20)
         assert asked.count(10 * PERIOD) == 2
         times = stamps(commander.poses[:20])
@@ -391,11 +404,11 @@ def test_unusable_commands_are_refused_counted_and_without_torque(
             early,
         ):
             commander.commands.publish(bad)
-        return command(state, [0.0, 0.0])
+        return command(state, NONE)
 
     commander.answer = answer
     commander.until(lambda: len(commander.states) >= 100)
-    assert all(list(state.effort) == [0.0, 0.0] for state in commander.states)
+    assert all(list(state.effort) == NONE for state in commander.states)
     assert commander.states[99].position == commander.states[0].position
     commander.until(lambda: int(commander.health.get("commands_refused", 0)) >= 4 * 99)
     assert "refused" in commander.health["message"]
@@ -408,17 +421,7 @@ def test_unanswered_state_is_repeated_and_counted(
     start: Callable[..., Commander],
 ) -> None:
     commander = start(mode="lockstep")
-    asked: list[int] = []
-
-    def answer(state: JointState) -> JointState | None:
-        asked.append(from_time(state.header.stamp))
-        return (
-            None
-            if asked[-1] == 10 * PERIOD and asked.count(asked[-1]) == 1
-            else wavy_answer(state)
-        )
-
-    commander.answer = answer
+    asked = commander.leave_one_out()
     commander.until(lambda: len(commander.states) >= 20)
     assert asked.count(10 * PERIOD) == 2
     commander.until(lambda: int(commander.health.get("repeated_states", 0)) >= 1)
@@ -448,7 +451,7 @@ def test_lockstep_acknowledged_without_a_command_the_drives_hold_the_last_one_un
     commander.answer = answer
     commander.until(lambda: len(commander.states) >= 40)
     efforts = [list(state.effort) for state in commander.states[:40]]
-    assert efforts == [[0.0, 0.0]] + 15 * [[0.01, -0.02]] + 24 * [[0.0, 0.0]]
+    assert efforts == [NONE] + 15 * [[0.01, -0.02]] + 24 * [NONE]
     assert stamps(commander.states[:40]) == [PERIOD * index for index in range(40)]
     commander.until(lambda: commander.health.get("watchdog_trips") == "1")
     assert int(commander.health["acknowledgements"]) >= 30
@@ -477,7 +480,7 @@ def test_lockstep_takes_a_late_command_as_a_drive_does_and_waits_on(
     commander.until(lambda: len(commander.states) >= 50)
     for index, state in enumerate(commander.states[:50]):
         assert list(state.effort) == (
-            wavy(PERIOD * (index - 3)) if index >= 3 else [0.0, 0.0]
+            wavy(PERIOD * (index - 3)) if index >= 3 else NONE
         )
 
 
@@ -517,7 +520,7 @@ def test_reset_returns_to_the_start_at_rest_with_growing_stamps(
 ) -> None:
     commander = lockstep_run(start, 100, encoder__resolution="0")
     assert commander.call("reset", Trigger).success
-    commander.answer = lambda state: command(state, [0.0, 0.0])
+    commander.answer = lambda state: command(state, NONE)
     first = list(commander.states[0].position)
     commander.until(
         lambda: any(list(state.position) == first for state in commander.states[50:])
@@ -527,8 +530,8 @@ def test_reset_returns_to_the_start_at_rest_with_growing_stamps(
         for index in range(50, len(commander.states))
         if list(commander.states[index].position) == first
     )
-    assert list(commander.states[again].velocity) == [0.0, 0.0]
-    assert list(commander.states[again].effort) == [0.0, 0.0]
+    assert list(commander.states[again].velocity) == NONE
+    assert list(commander.states[again].effort) == NONE
     times = stamps(commander.states)
     assert times == sorted(set(times))
 
@@ -542,7 +545,7 @@ def test_realtime_without_commander_stays_free_and_counts_exact_periods(
     times = stamps(commander.states)
     assert before <= times[0] <= time.time_ns()
     assert all((time_ - times[0]) % PERIOD == 0 for time_ in times)
-    assert all(list(state.effort) == [0.0, 0.0] for state in commander.states)
+    assert all(list(state.effort) == NONE for state in commander.states)
     assert commander.states[-1].position == pytest.approx(
         commander.states[0].position, abs=EXACT
     )
@@ -554,14 +557,10 @@ def test_realtime_applies_answers_and_falls_silent_with_the_commander(
     start: Callable[..., Commander],
 ) -> None:
     commander = start(mode="realtime", drive__command_timeout="0.05")
-    commander.answer = lambda state: command(state, [1.0e-4, -1.0e-4])
-    commander.until(
-        lambda: any(
-            list(state.effort) == [1.0e-4, -1.0e-4] for state in commander.states
-        )
-    )
+    commander.answer = push
+    commander.until_effort(PUSH)
     commander.answer = lambda state: None
-    commander.until(lambda: list(commander.states[-1].effort) == [0.0, 0.0])
+    commander.until_effort(NONE)
     commander.until(lambda: int(commander.health.get("watchdog_trips", 0)) >= 1)
     assert int(commander.health["late_ticks"]) >= 1
 
@@ -573,19 +572,15 @@ def test_two_speaking_commanders_get_no_torque_and_are_reported(
     before the graph is looked at.
     """
     commander = start(mode="realtime", drive__command_delay="0.003")
-    commander.answer = lambda state: command(state, [1.0e-4, -1.0e-4])
-    commander.until(
-        lambda: any(
-            list(state.effort) == [1.0e-4, -1.0e-4] for state in commander.states
-        )
-    )
+    commander.answer = push
+    commander.until_effort(PUSH)
     second = commander.node.create_publisher(
         JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS)
     )
 
     def both(state: JointState) -> JointState:
         second.publish(command(state, [2.0e-4, 2.0e-4]))
-        return command(state, [1.0e-4, -1.0e-4])
+        return command(state, PUSH)
 
     commander.answer = both
     commander.until(lambda: commander.health.get("command_publishers") == "2")
@@ -606,12 +601,8 @@ def test_a_silent_second_commander_is_reported_and_waited_for(
     start: Callable[..., Commander],
 ) -> None:
     commander = start(mode="realtime")
-    commander.answer = lambda state: command(state, [1.0e-4, -1.0e-4])
-    commander.until(
-        lambda: any(
-            list(state.effort) == [1.0e-4, -1.0e-4] for state in commander.states
-        )
-    )
+    commander.answer = push
+    commander.until_effort(PUSH)
     second = commander.node.create_publisher(
         JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS)
     )
@@ -622,7 +613,7 @@ def test_a_silent_second_commander_is_reported_and_waited_for(
         )
     )
     assert commander.health["commands_taken"] == "True"
-    commander.until(lambda: list(commander.states[-1].effort) == [1.0e-4, -1.0e-4])
+    commander.until_effort(PUSH)
     second.publish(command(commander.states[-1], [2.0e-4, 2.0e-4]))
     commander.until(
         lambda: (
@@ -634,7 +625,7 @@ def test_a_silent_second_commander_is_reported_and_waited_for(
     assert {tuple(state.effort) for state in commander.states[seen:]} == {(0.0, 0.0)}
     assert not any(list(state.effort) == [2.0e-4, 2.0e-4] for state in commander.states)
     commander.node.destroy_publisher(second)
-    commander.until(lambda: list(commander.states[-1].effort) == [1.0e-4, -1.0e-4])
+    commander.until_effort(PUSH)
 
 
 KILLED_COMMANDER = """
@@ -663,21 +654,16 @@ def test_after_sigkill_of_a_commander_its_successor_moves_the_robot_at_once(
     commander = start(mode=mode)
     killed = subprocess.Popen([sys.executable, "-c", KILLED_COMMANDER], env=os.environ)
     try:
-        commander.until(
-            lambda: (
-                bool(commander.states)
-                and list(commander.states[-1].effort) == [3.0e-4, 3.0e-4]
-            )
-        )
+        commander.until_effort([3.0e-4, 3.0e-4])
     finally:
         killed.kill()
         killed.wait()
     if mode == "realtime":
-        commander.until(lambda: list(commander.states[-1].effort) == [0.0, 0.0])
+        commander.until_effort(NONE)
     commander.linger(0.5)
     commander.health = {}
-    commander.answer = lambda state: command(state, [1.0e-4, -1.0e-4])
-    commander.until(lambda: list(commander.states[-1].effort) == [1.0e-4, -1.0e-4])
+    commander.answer = push
+    commander.until_effort(PUSH)
     commander.until(
         lambda: (
             commander.health.get("message")

@@ -24,6 +24,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import JointState
@@ -57,6 +58,15 @@ def plant() -> Iterator[Node]:
 
 
 @pytest.fixture
+def spin(plant: Node) -> Iterator[Callable[[], None]]:
+    """Lets the plant hear for a moment."""
+    executor = SingleThreadedExecutor(context=plant.context)
+    executor.add_node(plant)
+    yield lambda: executor.spin_once(timeout_sec=0.02)
+    executor.remove_node(plant)
+
+
+@pytest.fixture
 def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
     running: list[subprocess.Popen[str]] = []
 
@@ -85,8 +95,8 @@ def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
             process.stderr.close()
 
 
-def states(node: Node, process: subprocess.Popen[str]) -> list[JointState]:
-    """Publish COUNT joint states once the recorder listens; what was sent."""
+def read_states(node: Node, process: subprocess.Popen[str]) -> Publisher:
+    """A publisher of joint states, once the recorder listens."""
     publisher = node.create_publisher(
         JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)
     )
@@ -94,6 +104,12 @@ def states(node: Node, process: subprocess.Popen[str]) -> list[JointState]:
         lambda: publisher.get_subscription_count() > 0 or process.poll() is not None,
         "the recorder to read the states",
     )
+    return publisher
+
+
+def states(node: Node, process: subprocess.Popen[str]) -> list[JointState]:
+    """Publish COUNT joint states once the recorder listens; what was sent."""
+    publisher = read_states(node, process)
     sent = []
     for k in range(COUNT):
         message = JointState(
@@ -108,17 +124,13 @@ def states(node: Node, process: subprocess.Popen[str]) -> list[JointState]:
 
 
 def call(
-    node: Node, executor: SingleThreadedExecutor, kind: Any, name: str, request: Any
+    node: Node, spin: Callable[[], None], kind: Any, name: str, **fields: Any
 ) -> Any:
     """A service's answer."""
     client = node.create_client(kind, name)
     until(client.service_is_ready, f"service {name}")
-    future = client.call_async(request)
-    until(
-        future.done,
-        f"the answer of {name}",
-        lambda: executor.spin_once(timeout_sec=0.02),
-    )
+    future = client.call_async(kind.Request(**fields))
+    until(future.done, f"the answer of {name}", spin)
     node.destroy_client(client)
     return future.result()
 
@@ -133,14 +145,19 @@ def metadata(file: Path) -> dict[str, str]:
         ][-1]
 
 
-def texts(file: Path, topic: str) -> list[str]:
-    """Data of the strings on a topic, in order."""
+def recorded(file: Path, topic: str) -> list[Any]:
+    """The messages on a topic, in order."""
     with AnyReader([file]) as reader:
         return [
-            reader.deserialize(raw, c.msgtype).data
+            reader.deserialize(raw, c.msgtype)
             for c, _, raw in reader.messages()
             if c.topic == topic
         ]
+
+
+def texts(file: Path, topic: str) -> list[str]:
+    """Data of the strings on a topic, in order."""
+    return [message.data for message in recorded(file, topic)]
 
 
 def stop(
@@ -153,7 +170,11 @@ def stop(
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_every_sample_and_the_run_itself_are_in_the_bag(
-    plant: Node, start: Callable[..., Any], tmp_path: Path, number: int
+    plant: Node,
+    spin: Callable[[], None],
+    start: Callable[..., Any],
+    tmp_path: Path,
+    number: int,
 ) -> None:
     file = tmp_path / "deep" / "run.mcap"
     latched = plant.create_publisher(
@@ -164,13 +185,11 @@ def test_every_sample_and_the_run_itself_are_in_the_bag(
     process = start(
         file, "topics.extra:=remarks ghosts", "bag.parameters_of:=plant nobody"
     )
-    executor = SingleThreadedExecutor(context=plant.context)
-    executor.add_node(plant)
     sent = states(plant, process)
     until(
         lambda: extra.get_subscription_count() > 0,
         "the recorder to read the remarks",
-        lambda: executor.spin_once(timeout_sec=0.02),
+        spin,
     )
     extra.publish(String(data="here"))
 
@@ -180,38 +199,26 @@ def test_every_sample_and_the_run_itself_are_in_the_bag(
     until(
         parameters_are_there,
         "the plant's parameters in the bag",
-        lambda: executor.spin_once(timeout_sec=0.02),
+        spin,
     )
     code, errors = stop(process, number)
-    executor.remove_node(plant)
     assert code == 0, errors
     assert f"recording to {file}" in errors
     assert "no parameters of nobody" in errors
     assert "not recorded: ghosts: nobody published there" in errors
 
-    with AnyReader([file]) as reader:
-        taken = [
-            (connection.topic, reader.deserialize(raw, connection.msgtype))
-            for connection, _, raw in reader.messages()
-        ]
-    recorded = [message for topic, message in taken if topic == "/joint_states"]
-    assert [(m.header.stamp.sec, m.name, *m.position, *m.effort) for m in recorded] == [
+    read = recorded(file, "/joint_states")
+    assert [(m.header.stamp.sec, m.name, *m.position, *m.effort) for m in read] == [
         (m.header.stamp.sec, list(m.name), *m.position, *m.effort) for m in sent
     ]
-    assert [
-        message.joint_names for topic, message in taken if topic == "/trajectory"
-    ] == [["end_effector"]]
-    assert [message.data for topic, message in taken if topic == "/remarks"] == ["here"]
-    assert any(topic == "/diagnostics" for topic, _ in taken)
-
+    (served,) = recorded(file, "/trajectory")
+    assert served.joint_names == ["end_effector"]
+    assert texts(file, "/remarks") == ["here"]
+    assert recorded(file, "/diagnostics")
+    record = metadata(file)
     with file.open("rb") as stream:
-        reader = make_reader(stream)
-        record = [
-            entry.metadata for entry in reader.iter_metadata() if entry.name == "dextar"
-        ][-1]
-        by_topic = {
-            channel.topic: channel for channel in reader.get_summary().channels.values()
-        }
+        summary = make_reader(stream).get_summary()
+        by_topic = {channel.topic: channel for channel in summary.channels.values()}
     offered = yaml.safe_load(by_topic["/trajectory"].metadata["offered_qos_profiles"])
     assert offered[0]["durability"] == "transient_local"
     assert offered[0]["deadline"] == {"sec": 9223372036, "nsec": 854775807}
@@ -265,7 +272,7 @@ def test_an_unusable_output_is_one_line_and_an_exit_code(
 
 
 def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
-    plant: Node, start: Callable[..., Any], tmp_path: Path
+    plant: Node, spin: Callable[[], None], start: Callable[..., Any], tmp_path: Path
 ) -> None:
     file = tmp_path / "run" / "run.mcap"
     latched = plant.create_publisher(
@@ -283,8 +290,6 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
         "run.name:=tuning",
         "bag.parameters_of:=plant",
     )
-    executor = SingleThreadedExecutor(context=plant.context)
-    executor.add_node(plant)
     seen: dict[str, str] = {}
 
     def on_diagnostics(message: DiagnosticArray) -> None:
@@ -302,7 +307,14 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
     )
 
     def service(verb: str) -> Any:
-        return call(plant, executor, Trigger, f"recorder/{verb}", Trigger.Request())
+        return call(plant, spin, Trigger, f"recorder/{verb}")
+
+    def put(*values: Parameter) -> list[tuple[bool, str]]:
+        asked = [value.to_parameter_msg() for value in values]
+        answer = call(
+            plant, spin, SetParameters, "recorder/set_parameters", parameters=asked
+        )
+        return [(result.successful, result.reason) for result in answer.results]
 
     def say(text: str) -> None:
         remarks.publish(String(data=text))
@@ -314,14 +326,14 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
             and latched.get_subscription_count() > 0
         ),
         "the recorder to read remarks and trajectories",
-        lambda: executor.spin_once(timeout_sec=0.02),
+        spin,
     )
     latched.publish(MultiDOFJointTrajectory(joint_names=["end_effector"]))
     say("before")
     until(
         lambda: seen.get("recording") == "False",
         lambda: f"the recorder to say that it stopped; it says {seen}",
-        lambda: executor.spin_once(timeout_sec=0.02),
+        spin,
     )
     assert not file.exists()
     refused = service("stop")
@@ -342,27 +354,14 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
             seen.get("recording") == "True" and seen["parameters_missing"] == "none"
         ),
         lambda: f"the recorder to say that it records; it says {seen}",
-        lambda: executor.spin_once(timeout_sec=0.02),
+        spin,
     )
-    changes = [
-        Parameter("run.notes", value="brake later").to_parameter_msg(),
-        Parameter("run.tags", value="a b").to_parameter_msg(),
+    assert put(
+        Parameter("run.notes", value="brake later"), Parameter("run.tags", value="a b")
+    ) == [(True, ""), (True, "")]
+    assert put(Parameter("output", value="elsewhere.mcap")) == [
+        (False, "'output' is fixed while the node runs")
     ]
-    set_parameters = SetParameters.Request(parameters=changes)
-    answer = call(
-        plant, executor, SetParameters, "recorder/set_parameters", set_parameters
-    )
-    assert [result.successful for result in answer.results] == [True, True]
-    fixed = SetParameters.Request(
-        parameters=[Parameter("output", value="elsewhere.mcap").to_parameter_msg()]
-    )
-    [answer] = call(
-        plant, executor, SetParameters, "recorder/set_parameters", fixed
-    ).results
-    assert (answer.successful, answer.reason) == (
-        False,
-        "'output' is fixed while the node runs",
-    )
     plant.set_parameters([Parameter("mode", value="realtime")])
     say("last of the first")
     ended = service("stop")
@@ -375,7 +374,6 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
     )
     say("second")
     code, errors = stop(process)
-    executor.remove_node(plant)
     assert code == 0, errors
     assert texts(file, "/remarks") == ["first", "last of the first"]
     second = file.parent / "run-2" / "run.mcap"
@@ -409,23 +407,17 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
         "lost": 0,
         "dropped": 0,
     }
-    with AnyReader([file]) as reader:
-        events = [
-            reader.deserialize(raw, c.msgtype)
-            for c, _, raw in reader.messages()
-            if c.topic == "/parameter_events"
-        ]
     assert ("/plant", ["mode"]) in [
         (event.node, [entry.name for entry in event.changed_parameters])
-        for event in events
+        for event in recorded(file, "/parameter_events")
     ]
 
 
-def away(publisher: Any, process: subprocess.Popen[str], file: Path, count: int) -> int:
+def away(node: Node, process: subprocess.Popen[str], file: Path, count: int) -> int:
     """Publish some, then ``count`` more while the recorder gets no processor time, then
     some until one is there; how many.
     """
-    sent = 0
+    publisher, sent = read_states(node, process), 0
 
     def publish(numbers: int, frame: str = "") -> None:
         nonlocal sent
@@ -434,11 +426,6 @@ def away(publisher: Any, process: subprocess.Popen[str], file: Path, count: int)
             message.header.stamp.sec, message.header.frame_id = sent, frame
             publisher.publish(message)
             sent += 1
-
-    until(
-        lambda: publisher.get_subscription_count() > 0 or process.poll() is not None,
-        "the recorder to read the states",
-    )
 
     def repeat(frame: str) -> None:
         """Until a sample is there: a best-effort reader may have matched on one side
@@ -468,22 +455,10 @@ def test_a_recorder_that_was_away_is_given_all_it_missed(
 ) -> None:
     file = tmp_path / "run.mcap"
     process = start(file, "bag.compression:=none", "bag.sync_period:=0.1")
-    sent = away(
-        plant.create_publisher(
-            JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)
-        ),
-        process,
-        file,
-        900,
-    )
+    sent = away(plant, process, file, 900)
     code, errors = stop(process)
     assert code == 0, errors
-    with AnyReader([file]) as reader:
-        stamps = [
-            reader.deserialize(raw, c.msgtype).header.stamp.sec
-            for c, _, raw in reader.messages()
-            if c.topic == "/joint_states"
-        ]
+    stamps = [state.header.stamp.sec for state in recorded(file, "/joint_states")]
     assert stamps == list(range(sent))
     assert json.loads(metadata(file)["topics"])["/joint_states"] == {
         "received": sent,
@@ -499,14 +474,7 @@ def test_what_is_lost_on_the_way_is_counted_and_told(
     process = start(
         file, "topics.reliable:=false", "bag.compression:=none", "bag.sync_period:=0.1"
     )
-    away(
-        plant.create_publisher(
-            JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)
-        ),
-        process,
-        file,
-        5000,
-    )
+    away(plant, process, file, 5000)
     code, errors = stop(process)
     assert code == 0, errors
     with file.open("rb") as stream:
@@ -519,13 +487,11 @@ def test_what_is_lost_on_the_way_is_counted_and_told(
     counts = json.loads(metadata(file)["topics"])["/joint_states"]
     assert counts == {"received": len(numbers), "lost": missing, "dropped": 0}
     assert f"/joint_states: {missing} samples lost, {len(numbers)} recorded" in errors
-    with AnyReader([file]) as reader:
-        told = [
-            status.message
-            for c, _, raw in reader.messages()
-            if c.topic == "/diagnostics"
-            for status in reader.deserialize(raw, c.msgtype).status
-        ]
+    told = [
+        status.message
+        for array in recorded(file, "/diagnostics")
+        for status in array.status
+    ]
     assert f"{missing} samples lost" in told
 
 
@@ -539,13 +505,7 @@ def test_a_recording_is_split_while_it_runs(
         "bag.compression:=none",
         "bag.sync_period:=0.1",
     )
-    publisher = plant.create_publisher(
-        JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)
-    )
-    until(
-        lambda: publisher.get_subscription_count() > 0 or process.poll() is not None,
-        "the recorder to read the states",
-    )
+    publisher = read_states(plant, process)
     sent = 0
 
     def publish() -> None:

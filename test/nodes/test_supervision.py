@@ -93,7 +93,7 @@ def test_it_enables_itself_with_the_first_state_that_makes_them_healthy_and_only
         assert list(rig.answer(k * MS, push).effort) == [0.0, 0.0]
     rig.answer(HEALTHY * MS, push)
     assert rig.answer((HEALTHY + 1) * MS, push + [1e-4, 0.0]).effort[0] < 0.0
-    rig.until(lambda: rig.controller("phase") == "HOLD", "does not hold")
+    rig.until_phase("HOLD")
     assert rig.controller("enabling") == "done"
     assert rig.enable(False).success
     for k in range(1, 3 * HEALTHY):
@@ -123,7 +123,7 @@ def test_trouble_begins_the_healthy_time_anew(
             rig.answer((first + k) * MS, q_a + [1e-4 * (k % 2), 0.0]).effort
         ) == [0.0, 0.0]
     rig.answer((first + HEALTHY) * MS, q_a)
-    rig.until(lambda: rig.controller("phase") == "HOLD", "does not hold")
+    rig.until_phase("HOLD")
 
 
 def test_a_trajectory_that_comes_early_begins_with_the_first_held_state(
@@ -174,7 +174,7 @@ def test_a_trajectory_waits_for_its_enabling_no_longer_than_its_time(
     assert "to begin; the limit is 0.03 s" in rig.controller("trajectory")
     for k in range(1, HEALTHY + 30):
         rig.answer((tick + k) * MS, q_a)
-    rig.until(lambda: rig.controller("phase") == "HOLD", "it moves")
+    rig.until_phase("HOLD")
 
 
 def test_a_start_too_far_ahead_is_refused_and_one_that_is_missed_dropped(
@@ -202,7 +202,7 @@ def test_a_reset_is_refused_while_the_cause_lasts(rig: Rig, q_a: np.ndarray) -> 
     other = rig.node.create_publisher(
         JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS)
     )
-    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    rig.until_phase("FAULT")
     refused = rig.reset()
     assert not refused.success
     assert refused.message.startswith(
@@ -215,7 +215,7 @@ def test_a_reset_is_refused_while_the_cause_lasts(rig: Rig, q_a: np.ndarray) -> 
     assert rig.reset().success
     assert rig.enable().success
     rig.answer((HEALTHY + 32) * MS, q_a)
-    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    rig.until_phase("FAULT")
     refused = rig.reset()
     assert not refused.success
     assert (
@@ -275,7 +275,7 @@ def test_the_effort_array_carries_the_commands_torques_and_is_watched_too(
     other = rig.node.create_publisher(
         Float64MultiArray, EFFORT_COMMANDS.name, qos(EFFORT_COMMANDS)
     )
-    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    rig.until_phase("FAULT")
     assert "2 publishers on /effort_commands" in rig.controller("reason")
     rig.until(lambda: arrays[-1] == [0.0, 0.0], "the array keeps its torque")
     rig.node.destroy_publisher(other)
@@ -287,9 +287,9 @@ def test_a_fault_outlives_cleanup_and_nothing_is_enabled_by_itself_after_it(
 ) -> None:
     for k in range(HEALTHY + 5):
         rig.answer(k * MS, q_a)
-    rig.until(lambda: rig.controller("phase") == "HOLD", "not held")
+    rig.until_phase("HOLD")
     rig.answer((HEALTHY + 1000) * MS, q_a)
-    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    rig.until_phase("FAULT")
     reason = rig.controller("reason")
     for transition in ("deactivate", "cleanup", "configure"):
         assert rig.change(transition)
@@ -306,7 +306,7 @@ def test_a_fault_outlives_cleanup_and_nothing_is_enabled_by_itself_after_it(
         assert not any(rig.answer((HEALTHY + 2000 + k) * MS, q_a).effort)
     assert not any(rig.put("controller", assembly_mode=1))
     assert rig.reset().success
-    rig.until(lambda: rig.controller("phase") == "IDLE", "not reset")
+    rig.until_phase("IDLE")
     assert not any(rig.answer((3 * HEALTHY + 2000) * MS, q_a).effort)
     assert rig.controller("enabling") == "off"
     assert rig.enable().success
@@ -320,7 +320,7 @@ def test_a_second_publisher_of_states_is_told_and_named_and_a_fault_once_it_spea
     """
     told = "2 publishers on /joint_states; the limit is 1: end all but one (2 x /rig)"
     rig.hold((k * MS for k in range(HEALTHY + 5)), q_a)
-    rig.until(lambda: rig.controller("phase") == "HOLD", "does not hold")
+    rig.until_phase("HOLD")
     other = rig.node.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
     rig.until(lambda: other.get_subscription_count() == 1, "the other does not match")
     rig.until(lambda: rig.controller("state_publishers") == told, "not named")
@@ -332,7 +332,7 @@ def test_a_second_publisher_of_states_is_told_and_named_and_a_fault_once_it_spea
         header=Header(stamp=to_time((HEALTHY + 5) * MS)),
     )
     other.publish(message)
-    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    rig.until_phase("FAULT")
     assert rig.controller("reason") == told
     for refused in (rig.reset(), rig.enable()):
         assert (refused.success, refused.message) == (False, told)
@@ -347,11 +347,11 @@ def test_a_state_that_cannot_be_used_is_told_with_who_sends_states(
 ) -> None:
     """As of a second plant in lockstep, whose time begins at 0."""
     rig.hold(((k + 1) * MS for k in range(HEALTHY + 5)), q_a)
-    rig.until(lambda: rig.controller("phase") == "HOLD", "does not hold")
+    rig.until_phase("HOLD")
     other = rig.node.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
     rig.until(lambda: other.get_subscription_count() == 1, "the other does not match")
     other.publish(JointState(name=["q11", "q21"], position=q_a.tolist()))
-    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    rig.until_phase("FAULT")
     assert rig.controller("reason").startswith(
         "state at 0.000000 s is not after the last one at 0.055000 s; 2 publishers on"
     )
@@ -376,10 +376,10 @@ def test_a_refusal_says_what_to_call_next(
 ) -> None:
     calls = "type dextar reset, then dextar enable"
     rig.hold((k * MS for k in range(HEALTHY + 5)), q_a)
-    rig.until(lambda: rig.controller("phase") == "HOLD", "does not hold")
+    rig.until_phase("HOLD")
     assert rig.controller("next_step") == ""
     rig.answer((HEALTHY + 40) * MS, q_a)
-    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    rig.until_phase("FAULT")
     rig.hold(((HEALTHY + 40 + k) * MS for k in range(1, HEALTHY + 5)), q_a)
     refused = rig.enable()
     assert not refused.success

@@ -9,20 +9,19 @@ import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from geometry_msgs.msg import PoseStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from nav_msgs.srv import GetPlan
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 from rig import Rig, ending_well, start
 from std_srvs.srv import Trigger
 
 from dextar_control.planning.planner import PLAN_RESIDUAL
 
+SERVER = "/left/trajectory_server"
+PLAN = f"{SERVER}/get_plan"
 NAMESPACE = ("-r", "__ns:=/left")
 NODES = {
     "dextar_sim.node": (
@@ -61,10 +60,7 @@ def robot(drawing: Path) -> Iterator[Rig]:
             ]
             extra = ("-p", f"drawing:={drawing}") if "server" in module else ()
             stack.enter_context(ending_well(start(module, *NAMESPACE, *plain, *extra)))
-        watcher.until(
-            lambda: watcher.controller("phase") == "HOLD",
-            "the controller does not hold",
-        )
+        watcher.until_phase("HOLD")
         watcher.until(
             lambda: watcher.controller("x") not in ("", "nan"),
             "the controller had no state",
@@ -75,40 +71,14 @@ def robot(drawing: Path) -> Iterator[Rig]:
         yield watcher
 
 
-def _ask(rig: Rig, kind: type, name: str, request: object) -> Any:
-    """The answer to come."""
-    client = rig.node.create_client(kind, f"/left/{name}")
-    rig.until(client.service_is_ready, f"no service {name}")
-    return client.call_async(request)
-
-
-def _call(rig: Rig, kind: type, name: str, request: object) -> Any:
-    return rig.call(kind, f"/left/{name}", request)
-
-
-def _set(rig: Rig, **values: object) -> list[tuple[bool, str]]:
-    """Set parameters of the trajectory server's task in turn."""
-    parameters = [
-        Parameter(f"task.{name}", value=value).to_parameter_msg()
-        for name, value in values.items()
-    ]
-    answer = _call(
-        rig,
-        SetParameters,
-        "trajectory_server/set_parameters",
-        SetParameters.Request(parameters=parameters),
-    )
-    return [(result.successful, result.reason) for result in answer.results]
-
-
 def test_a_path_is_planned_on_request_and_a_bad_one_is_empty(robot: Rig) -> None:
-    path = _call(robot, GetPlan, "trajectory_server/get_plan", GetPlan.Request()).plan
+    path = robot.call(GetPlan, PLAN).plan
     assert path.poses[0].pose.position.x == pytest.approx(-0.025, abs=1e-9)
     assert path.poses[-1].pose.position.y == pytest.approx(0.06, abs=1e-9)
-    asked = GetPlan.Request(start=PoseStamped(), goal=PoseStamped())
-    asked.start.pose.position.x, asked.start.pose.position.y = 0.01, 0.06
-    asked.goal.pose.position.x, asked.goal.pose.position.y = 0.02, 0.11
-    path = _call(robot, GetPlan, "trajectory_server/get_plan", asked).plan
+    start, goal = PoseStamped(), PoseStamped()
+    start.pose.position.x, start.pose.position.y = 0.01, 0.06
+    goal.pose.position.x, goal.pose.position.y = 0.02, 0.11
+    path = robot.call(GetPlan, PLAN, start=start, goal=goal).plan
     ends = [
         (path.poses[row].pose.position.x, path.poses[row].pose.position.y)
         for row in (0, -1)
@@ -117,12 +87,9 @@ def test_a_path_is_planned_on_request_and_a_bad_one_is_empty(robot: Rig) -> None
         pytest.approx((0.01, 0.06), abs=1e-9),
         pytest.approx((0.02, 0.11), abs=1e-9),
     ]
-    same_side = GetPlan.Request(start=PoseStamped(), goal=PoseStamped())
-    same_side.start.pose.position.y, same_side.goal.pose.position.y = 0.115, 0.12
-    assert (
-        len(_call(robot, GetPlan, "trajectory_server/get_plan", same_side).plan.poses)
-        == 0
-    )
+    start.pose.position.y, goal.pose.position.y = 0.115, 0.12
+    start.pose.position.x = goal.pose.position.x = 0.0
+    assert not robot.call(GetPlan, PLAN, start=start, goal=goal).plan.poses
     robot.until(
         lambda: "same side" in robot.status["trajectory_server"].get("error", ""),
         "the reason is not told",
@@ -132,38 +99,30 @@ def test_a_path_is_planned_on_request_and_a_bad_one_is_empty(robot: Rig) -> None
 def test_the_trip_starts_with_an_approach_repeats_and_can_be_stopped(
     robot: Rig,
 ) -> None:
-    answer = _call(robot, Trigger, "trajectory_server/plan", Trigger.Request())
+    answer = robot.call(Trigger, "/left/trajectory_server/plan")
     assert answer.success
     assert "crossing 4" in answer.message
-    assert _call(robot, Trigger, "trajectory_server/start", Trigger.Request()).success
+    assert robot.call(Trigger, "/left/trajectory_server/start").success
     robot.until(lambda: robot.controller("completed") == "1", "the trip did not end")
     assert robot.controller("phase") == "HOLD"
     assert float(robot.controller("x")) == pytest.approx(-0.025, abs=1e-4)
-    assert _call(robot, Trigger, "trajectory_server/start", Trigger.Request()).success
-    robot.until(
-        lambda: robot.controller("phase") in ("TRACK", "CROSSING"),
-        "the second trip did not start",
-    )
-    refused = _call(robot, Trigger, "trajectory_server/start", Trigger.Request())
+    assert robot.call(Trigger, "/left/trajectory_server/start").success
+    robot.until_phase("TRACK", "CROSSING")
+    refused = robot.call(Trigger, "/left/trajectory_server/start")
     assert not refused.success
     assert (
         "a trip starts from HOLD: wait until it holds, or type dextar stop --namespace"
         " /left" in refused.message
     )
-    assert _call(robot, Trigger, "trajectory_server/stop", Trigger.Request()).success
-    robot.until(
-        lambda: robot.controller("phase") == "SAFE_STOP", "the robot did not stop"
-    )
+    assert robot.call(Trigger, "/left/trajectory_server/stop").success
+    robot.until_phase("SAFE_STOP")
     robot.until(
         lambda: (
-            "SAFE_STOP"
-            in _call(
-                robot, Trigger, "trajectory_server/start", Trigger.Request()
-            ).message
+            "SAFE_STOP" in robot.call(Trigger, "/left/trajectory_server/start").message
         ),
         "not known",
     )
-    refused = _call(robot, Trigger, "trajectory_server/start", Trigger.Request())
+    refused = robot.call(Trigger, "/left/trajectory_server/start")
     assert "phase SAFE_STOP (stopped by the trajectory server" in refused.message
     assert (
         "type dextar reset --namespace /left, then dextar enable --namespace /left"
@@ -177,15 +136,13 @@ def test_a_tour_is_planned_beside_the_services_drawn_and_certified(
     assert drawing.read_bytes().startswith(b"\x89PNG")
     before = drawing.stat().st_mtime_ns
     new = 0.05 + 1e-6 * os.getpid()  # s of dwelling that no cached tour has
-    assert all(successful for successful, _ in _set(robot, tour=6, dwell=new, repeat=1))
-    (refusal,) = _set(robot, point=[0.0, 0.0845])
-    assert not refusal[0]
+    assert not any(robot.put(SERVER, task__tour=6, task__dwell=new, task__repeat=1))
+    (refusal,) = robot.put(SERVER, task__point=[0.0, 0.0845])
     assert (
-        "task.point = [0.0, 0.0845] and task.tour = 6 are given; one may be"
-        in refusal[1]
+        "task.point = [0.0, 0.0845] and task.tour = 6 are given; one may be" in refusal
     )
-    planned = _ask(robot, Trigger, "trajectory_server/plan", Trigger.Request())
-    stopped = _ask(robot, Trigger, "trajectory_server/stop", Trigger.Request())
+    planned = robot.ask(Trigger, "/left/trajectory_server/plan")
+    stopped = robot.ask(Trigger, "/left/trajectory_server/stop")
     robot.until(stopped.done, "no stop while it plans")
     assert not planned.done()
     robot.until(planned.done, "no plan")
@@ -206,8 +163,8 @@ def test_a_tour_is_planned_beside_the_services_drawn_and_certified(
 
 def test_a_point_without_a_plan_is_told_and_served_is_nothing(robot: Rig) -> None:
     served = robot.status["trajectory_server"]["served"]
-    assert all(successful for successful, _ in _set(robot, tour=0, point=[0.0, 0.05]))
-    answer = _call(robot, Trigger, "trajectory_server/plan", Trigger.Request())
+    assert not any(robot.put(SERVER, task__tour=0, task__point=[0.0, 0.05]))
+    answer = robot.call(Trigger, "/left/trajectory_server/plan")
     assert not answer.success
     assert "off the Type 2 locus" in answer.message
     robot.until(
@@ -218,10 +175,12 @@ def test_a_point_without_a_plan_is_told_and_served_is_nothing(robot: Rig) -> Non
 
 
 def test_a_trip_needs_an_active_controller(robot: Rig) -> None:
-    deactivate = ChangeState.Request(transition=Transition(label="deactivate"))
-    assert _call(robot, ChangeState, "controller/change_state", deactivate).success
+    deactivate = Transition(label="deactivate")
+    assert robot.call(
+        ChangeState, "/left/controller/change_state", transition=deactivate
+    ).success
     robot.until(lambda: robot.controller("lifecycle") == "inactive", "not inactive")
-    refused = _call(robot, Trigger, "trajectory_server/start", Trigger.Request())
+    refused = robot.call(Trigger, "/left/trajectory_server/start")
     assert not refused.success
     assert (
         refused.message

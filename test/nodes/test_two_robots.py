@@ -4,23 +4,19 @@ the mock-up. In lockstep.
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import time
 from collections.abc import Iterator
 
 import pytest
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from patience import PATIENCE
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
-from rig import start, stop
+from rig import Rig, start, stop
 
 from dextar_control.contract.resources import config_file
-from dextar_control.contract.topics import CLOCK, DIAGNOSTICS, SERVICES, TOPICS
+from dextar_control.contract.topics import CLOCK, SERVICES, TOPICS
 from dextar_control.control.prepare import prepare
 from dextar_control.mechanisms import mechanism_named
-from dextar_control.nodekit.node import qos
 
 DURATION = {"left": 0.33, "right": 0.4}  # s of one way
 MODULES = {
@@ -84,47 +80,30 @@ class Seen:
 def seen() -> Iterator[Seen]:
     """Both trips are over, everybody still runs."""
     prepare(mechanism_named("five_bar"))
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    node, heard = Node("watcher"), {}
+    extra = {
+        "left": (),
+        "right": ("--params-file", str(config_file("mockup.yaml")), *REMAPPED),
+    }
 
-    def take(message: DiagnosticArray) -> None:
-        for item in message.status:
-            heard[item.name] = {pair.key: pair.value for pair in item.values} | {
-                "message": item.message
-            }
+    def over() -> bool:
+        assert all(process.poll() is None for process in processes), "a node ended"
+        told = [rig.status.get(f"/{robot}/controller", {}) for robot in DURATION]
+        return all(values.get("completed", "0") != "0" for values in told)
 
-    node.create_subscription(DiagnosticArray, DIAGNOSTICS.name, take, qos(DIAGNOSTICS))
-    processes: list[subprocess.Popen[str]] = []
-    for robot, extra in (
-        ("left", ()),
-        ("right", ("--params-file", str(config_file("mockup.yaml")), *REMAPPED)),
-    ):
-        for module, values in MODULES.values():
-            own = [part for value in values for part in ("-p", value)]
-            own += (
-                ["-p", f"task.duration:={DURATION[robot]}"]
-                if module.endswith("server")
-                else []
-            )
-            processes.append(start(module, "-r", f"__ns:=/{robot}", *extra, *own))
-    deadline = time.monotonic() + 3 * PATIENCE
-    try:
-        while any(
-            heard.get(f"/{robot}/controller", {}).get("completed", "0") == "0"
-            for robot in DURATION
-        ):
-            rclpy.spin_once(node, timeout_sec=0.1)
-            assert all(process.poll() is None for process in processes), "a node ended"
-            assert time.monotonic() < deadline, heard
-        completed = time.monotonic()
-        while time.monotonic() < completed + 2.5:  # the plants report once a second
-            rclpy.spin_once(node, timeout_sec=0.1)
-        yield Seen(node, heard)
-    finally:
-        for process in processes:
-            stop(process)
-        node.destroy_node()
-        rclpy.try_shutdown()
+    with contextlib.closing(Rig()) as rig, contextlib.ExitStack() as ending:
+        processes: list[subprocess.Popen[str]] = []
+        for robot, duration in DURATION.items():
+            for module, values in MODULES.values():
+                own = [part for value in values for part in ("-p", value)]
+                if module.endswith("server"):
+                    own += ["-p", f"task.duration:={duration}"]
+                process = start(module, "-r", f"__ns:=/{robot}", *extra[robot], *own)
+                ending.callback(stop, process)
+                processes.append(process)
+        rig.until(over, "a trip is not over")
+        completed = time.monotonic()  # the plants report once a second
+        rig.until(lambda: time.monotonic() > completed + 2.5, "time stands still")
+        yield Seen(rig.node, rig.status)
 
 
 @pytest.mark.parametrize("robot", DURATION)

@@ -40,7 +40,7 @@ from dextar_control.contract.topics import (
     TOPICS,
     TRAJECTORY,
 )
-from dextar_control.experiments.monitor import Monitor
+from dextar_control.nodekit.client import NodeClient
 from dextar_control.nodekit.node import qos
 from dextar_control.nodes.operator import OperatorClient
 from dextar_control.security.policy import TRIPS, build_policy, policy_text
@@ -326,7 +326,7 @@ def test_commands_and_states_have_one_publisher_each(system: System) -> None:
 @pytest.mark.parametrize(
     ("name", "make"),
     [
-        ("demo", lambda: Monitor("demo")),
+        ("demo", lambda: NodeClient("demo")),
         ("operator", lambda: OperatorClient("", SimpleNamespace())),
         ("check_rig", lambda: RigClient("", "", "", arrays=False)),
     ],

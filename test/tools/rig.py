@@ -117,12 +117,16 @@ class Rig:
         """The last command that answers states of one pose at these stamps, ns."""
         return [self.answer(stamp, positions) for stamp in stamps][-1]
 
-    def call(self, kind: Any, name: str, request: Any) -> Any:
-        """The answer of a service."""
+    def ask(self, kind: Any, name: str, **fields: Any) -> Any:
+        """The answer to come of a service."""
         client = self._clients.get(name) or self.node.create_client(kind, name)
         self._clients[name] = client
         self.until(client.service_is_ready, f"no service {name}")
-        future = client.call_async(request)
+        return client.call_async(kind.Request(**fields))
+
+    def call(self, kind: Any, name: str, **fields: Any) -> Any:
+        """The answer of a service."""
+        future = self.ask(kind, name, **fields)
         self.until(future.done, f"no answer of {name}")
         return future.result()
 
@@ -135,19 +139,17 @@ class Rig:
             for name, value in values.items()
         ]
         answer = self.call(
-            SetParameters,
-            f"{node}/set_parameters",
-            SetParameters.Request(parameters=parameters),
+            SetParameters, f"{node}/set_parameters", parameters=parameters
         )
         return ["" if result.successful else result.reason for result in answer.results]
 
     def enable(self, data: bool = True) -> SetBool.Response:
         """The controller's answer to being enabled, or disabled."""
-        return self.call(SetBool, "controller/enable", SetBool.Request(data=data))
+        return self.call(SetBool, "controller/enable", data=data)
 
     def reset(self) -> Trigger.Response:
         """The controller's answer to being reset."""
-        return self.call(Trigger, "controller/reset", Trigger.Request())
+        return self.call(Trigger, "controller/reset")
 
     def serve(self, trip: Plan, start: int = 0) -> None:
         """A plan's trajectory as the server sends it, from a stamp on, ns; 0 is at
@@ -158,16 +160,20 @@ class Rig:
 
     def change(self, transition: str) -> bool:
         """A lifecycle transition of the controller, by its label."""
-        request = ChangeState.Request(transition=Transition(label=transition))
-        return bool(self.call(ChangeState, "controller/change_state", request).success)
+        asked = Transition(label=transition)
+        return bool(
+            self.call(ChangeState, "controller/change_state", transition=asked).success
+        )
 
     @property
     def lifecycle(self) -> str:
         """The controller's lifecycle state."""
-        return str(
-            self.call(
-                GetState, "controller/get_state", GetState.Request()
-            ).current_state.label
+        return str(self.call(GetState, "controller/get_state").current_state.label)
+
+    def until_phase(self, *phases: str) -> None:
+        """Spin until the controller tells one of these phases."""
+        self.until(
+            lambda: self.controller("phase") in phases, f"not in {' or '.join(phases)}"
         )
 
     def controller(self, key: str) -> str:

@@ -83,8 +83,8 @@ def test_names_and_files_of_the_code_are_what_they_are_called() -> None:
 
 
 # Where a user meets refusals, and what says one beside the errors that are raised.
-MET = "control", "planning", "nodes", "experiments/demo.py"
-CALLED = "Unreached", "fault", "spoil", "refuse"
+MET = "control", "planning", "nodes", "nodekit/client.py", "experiments/demo.py"
+CALLED = "fault", "spoil", "refuse"
 SAYS_SOMETHING = 9  # characters
 
 

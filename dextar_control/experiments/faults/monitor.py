@@ -15,6 +15,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
+from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 
 from dextar_control.contract.topics import (
@@ -25,8 +26,8 @@ from dextar_control.contract.topics import (
     Topic,
 )
 from dextar_control.experiments.faults.injector import RIG_COMMANDS, Injector
-from dextar_control.experiments.monitor import SERVICE_PATIENCE, Monitor
 from dextar_control.nodekit.cdr import from_time
+from dextar_control.nodekit.client import NodeClient
 from dextar_control.nodekit.layouts import template
 from dextar_control.nodekit.node import make_executor, qos
 from dextar_control.symbols.types import Array
@@ -34,6 +35,7 @@ from dextar_control.symbols.types import Array
 POLL_PERIOD = 0.004  # s between two looks into the readers
 HISTORY = 4000  # samples that each of them holds meanwhile
 IDLE_WAIT = 0.02  # s
+SERVICE_PATIENCE = 30.0  # s
 KEPT_COMMANDS = 300  # samples of commands that are kept from trip to trip
 PHASE = CRITERION_NAMES.index("phase")
 
@@ -93,7 +95,7 @@ class SampleReader:
         )
 
 
-class StackMonitor(Monitor):
+class StackMonitor(NodeClient):
     """Watches the nodes of one robot, and passes messages on where an injector stands
     between rig and controller.
 
@@ -103,7 +105,6 @@ class StackMonitor(Monitor):
 
     Attributes:
         texts: all values of each ``node.key`` of the diagnostics since ``forget``.
-        heard: when each node told of itself last, s of the monotonic clock.
         injector: between rig and controller; None without one.
         truth, commands, at_rig, criterion: samples of the true joints, of the
             controller's commands, of those that reach the rig, and of its answers.
@@ -113,7 +114,7 @@ class StackMonitor(Monitor):
         self._polled: set[int] = set()
         super().__init__("operator")
         self.texts: dict[str, list[str]] = {}
-        self.heard: dict[str, float] = {}
+        self.patience = SERVICE_PATIENCE, SERVICE_PATIENCE
         self.injector = Injector(self, lockstep=lockstep) if injector else None
         self.truth = SampleReader(self, SIM_JOINT_STATES)
         self.commands = SampleReader(self, JOINT_COMMANDS)
@@ -148,9 +149,8 @@ class StackMonitor(Monitor):
         return subscription
 
     def on_status(self, name: str, values: dict[str, str]) -> None:
-        """Keep what one node tells of itself, and when."""
+        """Keep all that one node tells of itself."""
         super().on_status(name, values)
-        self.heard[name] = time.monotonic()
         for key, value in values.items():
             texts = self.texts.setdefault(f"{name}.{key}", [])
             if not texts or texts[-1] != value:
@@ -195,22 +195,20 @@ class StackMonitor(Monitor):
         """Set a node's parameters one by one (``__`` is a dot); why each was refused,
         empty where it was not.
         """
-        answer = self.ask(
-            SetParameters,
-            f"{node}/set_parameters",
-            SERVICE_PATIENCE,
-            parameters=parameters(values),
+        answer: SetParameters.Response = self.ask(
+            SetParameters, f"{node}/set_parameters", parameters=parameters(values)
         )
         return [
             "" if result.successful else result.reason or "refused"
-            for result in answer.result().results
+            for result in answer.results
         ]
 
     def close(self) -> None:
         """Leave the executor and ROS."""
         self._executor.remove_node(self)
         self._executor.shutdown()
-        super().close()
+        self.destroy_node()
+        try_shutdown()
 
 
 def parameters(values: Mapping[str, bool | int | float]) -> list[ParameterMessage]:

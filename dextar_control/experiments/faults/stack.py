@@ -18,9 +18,9 @@ from dextar_control.experiments.faults.cases import FaultConfig
 from dextar_control.experiments.faults.injector import REMAPPINGS
 from dextar_control.experiments.faults.link import Transport
 from dextar_control.experiments.faults.monitor import StackMonitor
-from dextar_control.experiments.monitor import start_ros
 from dextar_control.experiments.processes import NodesError, Processes, node_arguments
 from dextar_control.nodekit.cdr import NANOSECONDS
+from dextar_control.nodekit.client import start_ros
 
 START_TIMEOUT = 120.0  # s, on a busy machine
 RECOVERY_PATIENCE = 30.0  # s until a robot that does not come back to HOLD is given up
