@@ -12,25 +12,25 @@ from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import PREFIX, RobotParameters
 from dextar_control.contract.yaml_text import load_parameters
 from dextar_control.mechanisms import mechanism_named
-from dextar_control.mechanisms.mechanism import Mechanism, Parameter
+from dextar_control.mechanisms.mechanism import Constant, Mechanism
 
 LIMITS = (
-    Parameter(
+    Constant(
         "max_torque", "N m (N of a prismatic joint)", "of each active joint", above=0.0
     ),
-    Parameter(
+    Constant(
         "max_joint_speed",
         "rad/s (m/s of a prismatic joint)",
         "of each active joint",
         above=0.0,
     ),
-    Parameter(
+    Constant(
         "max_platform_speed",
         "m/s",
         "of the platform, all coordinates together",
         above=0.0,
     ),
-    Parameter("min_type1_distance", "1", "least distance of a leg to Type 1", 0.0, 1.0),
+    Constant("min_type1_distance", "1", "least distance of a leg to Type 1", 0.0, 1.0),
 )
 
 
@@ -87,7 +87,7 @@ class Robot:
         limits = {limit.name: limit.check(values[limit.name])[0] for limit in LIMITS}
         low, high = (
             tuple(
-                Parameter(name, "rad or m", "of the joints", size=mechanism.n).check(
+                Constant(name, "rad or m", "of the joints", size=mechanism.n).check(
                     values.get(name, [bound] * mechanism.n)
                 )
             )
