@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import cast
 
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.robot import PREFIX, RobotParameters
-from dextar_control.contract.yaml_text import load_parameters
+from dextar_control.contract.plain_data import ParameterValue
+from dextar_control.contract.robot import RobotParameters, robot_in
 from dextar_control.mechanisms import mechanism_named
 from dextar_control.mechanisms.mechanism import Constant, Mechanism
 
@@ -159,17 +159,10 @@ def load_any_robot(path: str | Path) -> Robot:
         ParameterError: the file cannot be read, names no mechanism that there is, or a
             number is missing or out of its bounds.
     """
-    values = load_parameters(path, what="robot file").get("/**", {})
-    flat = {
-        key.removeprefix(PREFIX): value
-        for key, value in values.items()
-        if key.startswith(PREFIX)
-    }
-    if "mechanism" not in flat:
-        raise ParameterError(
-            f"robot file {path}: robot.mechanism is missing; it names the mechanism"
-        )
-    try:
+
+    def make(flat: dict[str, ParameterValue]) -> Robot:
+        if "mechanism" not in flat:
+            raise ParameterError("robot.mechanism is missing; it names the mechanism")
         return Robot.of(mechanism_named(flat["mechanism"]), flat)
-    except ParameterError as error:
-        raise ParameterError(f"robot file {path}: {error}") from error
+
+    return robot_in(path, make)
