@@ -120,20 +120,11 @@ class _Filters:
             ca.horzcat(-bias * J.T, zero, bias * one, zero),
             ca.horzcat(zero, zero, zero, noise["disturbance"] ** 2 * one),
         )
-        rest = ca.SX.zeros(self.n)
-        return {
-            "x": x,
-            "x_dot": rest,
-            "b": rest,
-            "d": rest,
-            "x_ddot": rest,
-            "innovation": rest,
-            "innovation_square": ca.SX(0.0),
-            "scatter": rest,
-            "twist": rest,
-            "twist_dot": rest,
-            "covariance": covariance,
+        rest = {
+            field.name: ca.SX.zeros(1 if field.rows == 1 else self.n)
+            for field in FILTER
         }
+        return rest | {"x": x, "covariance": covariance}
 
     def predict(
         self,
