@@ -99,15 +99,12 @@ class Robot:
                     f"robot.joint_min = {least} with joint_max = {largest} of"
                     f" {joint.name}; it must be smaller"
                 )
-        items = [
-            (parameter.name, values[parameter.name])
-            for parameter in mechanism.parameters
-        ]
-        frozen = tuple(
+        given = {number.name: values[number.name] for number in mechanism.parameters}
+        items = tuple(
             (name, tuple(value) if isinstance(value, list) else value)
-            for name, value in items
+            for name, value in given.items()
         )
-        return cls(mechanism, frozen, **limits, joint_range=(low, high))
+        return cls(mechanism, items, **limits, joint_range=(low, high))
 
     @property
     def numbers(self) -> dict[str, object]:
