@@ -91,8 +91,8 @@ def allowed(spec: Parameter) -> str:
     """The choices or the range."""
     if spec.choices:
         return code(*spec.choices)
-    low = -math.inf if spec.minimum is None else spec.minimum
-    return bounds(low, math.inf if spec.maximum is None else spec.maximum)
+    low, high = spec.bounds or (-math.inf, None)
+    return bounds(low, math.inf if high is None else high)
 
 
 def bounds(low: float, high: float) -> str:

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 from crossing import drive
 
-from dextar_control.mechanisms.mechanism import Coordinate, Mechanism, Parameter, Values
+from dextar_control.mechanisms.mechanism import Constant, Coordinate, Mechanism, Values
 from dextar_control.model.exact_plant import ExactPlant
 from dextar_control.model.robot import Robot
 from dextar_control.planning.locus import nearest_point
@@ -26,9 +26,9 @@ class Biglide(Mechanism):
     joints = Coordinate("q1", "m"), Coordinate("q2", "m")
     coordinates = Coordinate("x", "m"), Coordinate("y", "m")
     parameters = (
-        Parameter("rails", "m", "where they stand along x", size=2),
-        Parameter("bars", "m", "their lengths", above=0.0, size=2),
-        *(Parameter(m, "kg", "of each", above=0.0) for m in ("bar_mass", "tip_mass")),
+        Constant("rails", "m", "where they stand along x", size=2),
+        Constant("bars", "m", "their lengths", above=0.0, size=2),
+        *(Constant(m, "kg", "of each", above=0.0) for m in ("bar_mass", "tip_mass")),
     )
 
     def closures(self, q_a: S, x: S, p: Values) -> S:

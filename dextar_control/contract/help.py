@@ -163,12 +163,9 @@ def _limits(spec: Parameter) -> str:
     brackets.
     """
     words = []
-    if spec.minimum is not None and spec.maximum is not None:
-        words.append(f"{spec.minimum:.10g} to {spec.maximum:.10g}")
-    elif spec.minimum is not None:
-        words.append(f">= {spec.minimum:.10g}")
-    elif spec.maximum is not None:
-        words.append(f"<= {spec.maximum:.10g}")
+    if spec.bounds:
+        low, high = spec.bounds
+        words.append(f">= {low:.10g}" if high is None else f"{low:.10g} to {high:.10g}")
     if spec.size:
         words.append(f"{spec.size} numbers")
     if spec.live:

@@ -25,7 +25,8 @@ class Parameter:
         name: plain, or the name of its group, a dot and its own.
         description: one sentence, which a stranger understands without the name beside
             it.
-        minimum, maximum: inclusive bounds of a number (or of each of an array).
+        bounds: inclusive, of a number (or of each of an array); the upper one may be
+            None.
         choices: the allowed words of a string.
         size: length of an array; 0 is any. An array whose default is empty may be
             empty.
@@ -39,8 +40,7 @@ class Parameter:
 
     name: str
     description: str
-    minimum: float | None = None
-    maximum: float | None = None
+    bounds: tuple[float, float | None] | None = None
     choices: tuple[str, ...] = ()
     size: int = 0
     live: bool = False
@@ -75,8 +75,7 @@ SCHEDULING = (
         "thread_priority",
         "The kernel schedules all threads by SCHED_FIFO at this priority; 0 leaves its"
         " usual scheduling.",
-        0,
-        99,
+        (0, 99),
         unit="1",
     ),
     Parameter(
@@ -166,10 +165,11 @@ def check_value(
             raise fail("finite")
         if integer and int(number) != number:
             raise fail("an integer")
-        if spec.minimum is not None and number < spec.minimum:
-            raise fail(f">= {spec.minimum:g}")
-        if spec.maximum is not None and number > spec.maximum:
-            raise fail(f"<= {spec.maximum:g}")
+        low, high = spec.bounds or (None, None)
+        if low is not None and number < low:
+            raise fail(f">= {low:g}")
+        if high is not None and number > high:
+            raise fail(f"<= {high:g}")
     cast = [int(number) if integer else float(number) for number in numbers]
     return cast if array else cast[0]
 

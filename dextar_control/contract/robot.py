@@ -6,16 +6,17 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, get_type_hints
+from typing import Annotated, TypeVar, get_type_hints
 
 from dextar_control.contract.errors import ParameterError, StateError
 from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.yaml_text import dump_document, load_parameters
 
+Described = TypeVar("Described")
 PREFIX = "robot."  # of the robot's parameters in a node
 JOINT_NAMES = ("q11", "q21")
 SIM_JOINT_NAMES = ("q11", "q12", "q21", "q22")
@@ -105,33 +106,33 @@ class LegParameters:
         float,
         "The {side} active joint's range begins at this angle (rad); a whole turn is no"
         " bound.",
-    ]
+    ] = -math.pi
     max_angle: Annotated[
         float,
         "The {side} active joint's range ends at this angle (rad); a whole turn is no"
         " bound.",
-    ]
+    ] = math.pi
     encoder_offset: Annotated[
         float,
         "The {side} encoder reads this where the active joint is at zero (rad, -pi to"
         " pi).",
-    ]
+    ] = 0.0
     transmission_stiffness: Annotated[
         float,
         "The {side} transmission to the link has this stiffness (N m/rad); 0 is rigid.",
-    ]
+    ] = 0.0
     transmission_damping: Annotated[
         float, "The {side} transmission to the link has this damping (N m s/rad, >= 0)."
-    ]
+    ] = 0.0
     passive_viscous_friction: Annotated[
         float, "The {side} elbow has this viscous friction (N m s/rad, >= 0)."
-    ]
+    ] = 0.0
     passive_coulomb_friction: Annotated[
         float, "The {side} elbow has this Coulomb friction (N m, >= 0)."
-    ]
+    ] = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RobotParameters:
     """A planar five-bar: two legs (left, right) closed at the end effector."""
 
@@ -144,10 +145,10 @@ class RobotParameters:
     pin_viscous_friction: Annotated[
         float,
         "The pin between the distal links has this viscous friction (N m s/rad, >= 0).",
-    ]
+    ] = 0.0
     pin_coulomb_friction: Annotated[
         float, "The pin between the distal links has this Coulomb friction (N m, >= 0)."
-    ]
+    ] = 0.0
     gravity: Annotated[
         tuple[float, float],
         "Gravity has these components in the robot's plane (m/s^2), 9.81 sin(tilt) in"
@@ -249,16 +250,28 @@ class RobotParameters:
         return from_flat(changed(flatten(self), changes))
 
 
-_POSITIVE = {
-    "proximal_length",
-    "distal_length",
-    "coulomb_speed",
-    "max_torque",
-    "max_joint_speed",
-    "max_platform_speed",
+_RULES: dict[str, tuple[str, Callable[[float], bool]]] = {
+    **dict.fromkeys(
+        (
+            "proximal_length",
+            "distal_length",
+            "coulomb_speed",
+            "max_torque",
+            "max_joint_speed",
+            "max_platform_speed",
+        ),
+        ("be > 0", lambda value: value > 0.0),
+    ),
+    **dict.fromkeys(
+        ("proximal_center", "distal_center", "min_type1_distance"),
+        ("lie in [0, 1]", lambda value: 0.0 <= value <= 1.0),
+    ),
+    **dict.fromkeys(
+        ("axis", "gravity", "min_angle", "max_angle"), ("be finite", lambda _: True)
+    ),
+    "encoder_offset": ("lie in [-pi, pi]", lambda value: abs(value) <= math.pi),
 }
-_FRACTION = {"proximal_center", "distal_center", "min_type1_distance"}
-_FREE = {"axis", "gravity", "min_angle", "max_angle", "encoder_offset"}
+_NOT_NEGATIVE = "be >= 0", lambda value: value >= 0.0
 _PAIRS = ("working_mode", "gravity", "left.axis", "right.axis")
 _AXES = ("left.axis", "right.axis")
 _SAME_LENGTH = 1e-9  # m
@@ -296,19 +309,9 @@ def _check(key: str, value: ParameterValue) -> None:
             f"{full} = {value}; {_MOST[name]:g} is the most, in SI units (m, kg, kg"
             " m^2, m/s^2, rad)"
         )
-    if name in _POSITIVE and value <= 0.0:
-        raise ParameterError(f"{full} = {value}; it must be > 0")
-    if name == "encoder_offset" and not abs(value) <= math.pi:
-        raise ParameterError(f"{full} = {value}; it must lie in [-pi, pi]")
-    if name in _FRACTION and not 0.0 <= value <= 1.0:
-        raise ParameterError(f"{full} = {value}; it must lie in [0, 1]")
-    if (
-        name not in _FREE
-        and name not in _POSITIVE
-        and name not in _FRACTION
-        and value < 0.0
-    ):
-        raise ParameterError(f"{full} = {value}; it must be >= 0")
+    wanted, fits = _RULES.get(name, _NOT_NEGATIVE)
+    if not fits(value):
+        raise ParameterError(f"{full} = {value}; it must {wanted}")
 
 
 def flatten(robot: RobotParameters) -> dict[str, ParameterValue]:
@@ -356,25 +359,15 @@ ROBOT_KEYS = {
     },
 } | _sentences(RobotParameters)
 """Dotted keys of a description, in its order, and what each is in a sentence."""
-_UNSAID: dict[str, float] = {
-    **{
-        f"{side}.{bound}_angle": sign * math.pi
-        for side in ("left", "right")
-        for bound, sign in (("min", -1.0), ("max", 1.0))
-    },
-    **{
-        f"{side}.{key}": 0.0
-        for side in ("left", "right")
-        for key in (
-            "encoder_offset",
-            "transmission_stiffness",
-            "transmission_damping",
-            "passive_viscous_friction",
-            "passive_coulomb_friction",
-        )
-    },
-    "pin_viscous_friction": 0.0,
-    "pin_coulomb_friction": 0.0,
+_UNSAID = {
+    f"{prefix}{field.name}": field.default
+    for prefix, kind in (
+        ("left.", LegParameters),
+        ("right.", LegParameters),
+        ("", RobotParameters),
+    )
+    for field in dataclasses.fields(kind)
+    if field.default is not dataclasses.MISSING
 }  # what a description need not say: no range, offset, compliance or passive friction
 
 
@@ -491,24 +484,38 @@ def load_robot(path: str | Path) -> RobotParameters:
     Raises:
         ParameterError: the file cannot be read or describes no valid robot.
     """
+    return robot_in(path, from_flat)
+
+
+def robot_in(
+    path: str | Path, make: Callable[[dict[str, ParameterValue]], Described]
+) -> Described:
+    """Return what is made of the robot's dotted keys in a ROS 2 parameter file.
+
+    Args:
+        path: of the file.
+        make: takes the keys; what it refuses is told with the file.
+
+    Raises:
+        ParameterError: the file cannot be read or has no robot, or ``make`` refuses it.
+    """
     values = load_parameters(path, what="robot file").get("/**", {})
     flat = {
         key.removeprefix(PREFIX): value
         for key, value in values.items()
         if key.startswith(PREFIX)
     }
-    if not flat:
-        found = (
-            f"'robot' is {values['robot']!r}"
-            if "robot" in values
-            else "no entry '/**: ros__parameters: robot:'"
-        )
-        raise ParameterError(
-            f"robot file {path}: {found}; a description such as config/dextar.yaml is"
-            " wanted"
-        )
     try:
-        return from_flat(flat)
+        if not flat:
+            found = (
+                f"'robot' is {values['robot']!r}"
+                if "robot" in values
+                else "no entry '/**: ros__parameters: robot:'"
+            )
+            raise ParameterError(
+                f"{found}; a description such as config/dextar.yaml is wanted"
+            )
+        return make(flat)
     except ParameterError as error:
         raise ParameterError(f"robot file {path}: {error}") from error
 

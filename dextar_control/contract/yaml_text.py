@@ -36,6 +36,7 @@ PLAIN_TAG = "plain"
 MERGE = "<<"
 QUOTED = ("'", '"')
 PARAMETERS = "ros__parameters"
+MISSPELT = PARAMETERS.replace("_", "")
 Sections = dict[str, dict[str, ParameterValue]]
 """Parameters by the pattern of the nodes' names, in the order in which they are
 applied.
@@ -449,6 +450,11 @@ def _add_sections(
             raise ParameterError(
                 f"{_at(source, key)}: '{PARAMETERS}' stands under no node's name; /**"
                 " is any node's"
+            )
+        if name.replace("_", "") == MISSPELT and name != PARAMETERS:
+            raise ParameterError(
+                f"{_at(source, key)}: '{name}' stands where '{PARAMETERS}', with two"
+                " underscores, is wanted"
             )
         if not isinstance(value, yaml.MappingNode):
             wanted = (

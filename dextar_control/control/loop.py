@@ -168,15 +168,18 @@ class ControlLoop:
             )
         self._act = self._acts[settings.law]
         self._places = self._act.views()
-        gains, feedback = self._gains, settings.feedback
-        gains.K_p = feedback.natural_frequency**2
-        gains.K_d = 2.0 * feedback.damping_ratio * feedback.natural_frequency
-        gains.K_i = feedback.integral_frequency * gains.K_p
+        feedback, K_p = settings.feedback, settings.feedback.natural_frequency**2
         banded = settings.law in ("projected", "multi_model")
-        gains.zone = near.replace_below_abs_s if banded else near.fade_abs_s
-        gains.zone_width = near.fade_width_abs_s
-        gains.friction_compensation = settings.compensation.friction
-        gains.disturbance_compensation = settings.compensation.disturbance
+        gains = self._gains.layout.make(
+            K_p=K_p,
+            K_d=2.0 * feedback.damping_ratio * feedback.natural_frequency,
+            K_i=feedback.integral_frequency * K_p,
+            zone=near.replace_below_abs_s if banded else near.fade_abs_s,
+            zone_width=near.fade_width_abs_s,
+            friction_compensation=settings.compensation.friction,
+            disturbance_compensation=settings.compensation.disturbance,
+        )
+        self._gains.take(gains)
         self.estimator.configure(settings)
         self.supervisor.configure(settings)
         self._judge.configure(settings)
@@ -555,8 +558,10 @@ class ControlLoop:
         self.certificate = certificate
         crossing = len(certificate.crossing_times) > 0
         self._crossing_limit = self.robot.max_torque
-        if crossing:
-            self._crossing_limit = self._limit_crossing(certificate)
+        if crossing:  # which bounds a robot that bounced before the verdict is given
+            told = self.settings.torque_limit
+            planned = max(told.peak_ratio * certificate.peak_torque, told.min_torque)
+            self._crossing_limit = min(self.robot.max_torque, planned)
         self._start = time if start is None else start
         self._judge.begin(certificate, self._start)
         self.supervisor.begin()
@@ -566,14 +571,6 @@ class ControlLoop:
         self._stop_wanted = False
         self.saturated_ticks, self.lacking = 0, 0.0
         self.phase = Phase.TRACK if crossing else Phase.APPROACH
-
-    def _limit_crossing(self, certificate: Certificate) -> float:
-        """Return the torque limit of a crossing trajectory, N m, which bounds a robot
-        that bounced before the verdict is given.
-        """
-        limit = self.settings.torque_limit
-        planned = limit.peak_ratio * certificate.peak_torque
-        return min(self.robot.max_torque, max(planned, limit.min_torque))
 
     def _end(self) -> float:
         """Hold the end of the trajectory, or stop where that was asked for during the

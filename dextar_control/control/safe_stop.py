@@ -39,7 +39,7 @@ from dextar_control.model.model import Model, equations_of
 from dextar_control.symbols.functions import Library, cache_folder, named
 from dextar_control.symbols.record import Field, Layout, Record
 from dextar_control.symbols.smooth import HUGE, smooth_step
-from dextar_control.symbols.types import Array, Symbol
+from dextar_control.symbols.types import Array
 
 # rad/s of each joint, below which the robot counts as at rest: 9 mm/s at an elbow
 REST_SPEED = 0.1
@@ -103,7 +103,13 @@ def stops_of(mechanism: Mechanism) -> Library:
     s = mechanism.singularity_of_joints(q_a, p)
     if s is None:  # by the estimate
         s = ca.fabs(e.s)
-        rate = ca.sign(e.s) * _rate(mechanism, vector, q_a, x, q_a_dot, e.x_dot)
+        places, speeds = (
+            ca.vertcat(equations.q_a, equations.x),
+            ca.vertcat(q_a_dot, e.x_dot),
+        )
+        rate = ca.jtimes(equations.s, places, speeds)
+        here = [equations.p, equations.q_a, equations.x], [vector, q_a, x]
+        rate = ca.sign(e.s) * ca.substitute([rate], *here)[0]
     else:
         rate = ca.if_else(s > 0.0, ca.jtimes(s, q_a, q_a_dot), 0.0)
     momentum = J.T @ (e.M @ e.x_dot)
@@ -144,20 +150,6 @@ def stops_of(mechanism: Mechanism) -> Library:
     )
 
 
-def _rate(
-    mechanism: Mechanism,
-    p: Symbol,
-    q_a: Symbol,
-    x: Symbol,
-    q_a_dot: Symbol,
-    x_dot: Symbol,
-) -> Symbol:
-    """Return the rate of s, 1/s."""
-    e = equations_of(mechanism)
-    rate = ca.jtimes(e.s, ca.vertcat(e.q_a, e.x), ca.vertcat(q_a_dot, x_dot))
-    return ca.substitute([rate], [e.p, e.q_a, e.x], [p, q_a, x])[0]
-
-
 class SafeStop:
     """The safe stops of one robot, one after the other.
 
@@ -185,15 +177,10 @@ class SafeStop:
 
     def configure(self, settings: Settings) -> None:
         """Take the settings that concern it, also while it lasts."""
+        self._told = told = settings.safe_stop
         brake = self._brake
-        told = settings.safe_stop
         brake.gain, brake.constant = told.brake_gain, told.brake_time_constant
         brake.coast_s, brake.stop_s = told.coast_below_abs_s, told.rest_above_abs_s
-        self._time, self._coast_time, self._rest_time = (
-            told.brake_time,
-            told.coast_time,
-            told.rest_time,
-        )
 
     def begin(self, time: float, limit: float, *, trusted: bool, over: bool) -> None:
         """Begin a stop.
@@ -277,9 +264,12 @@ class SafeStop:
             self._coasted += dt
         resting = now.speed < REST_SPEED and now.s >= self._brake.stop_s
         self._rested = self._rested + dt if resting else 0.0
-        at_rest = self._rested >= self._rest_time
+        at_rest = self._rested >= self._told.rest_time
         lasted = time - self.began
-        if not (at_rest or lasted >= self._time or self._coasted >= self._coast_time):
+        spent = (
+            lasted >= self._told.brake_time or self._coasted >= self._told.coast_time
+        )
+        if not (at_rest or spent):
             return ""
         self.stage = Stage.OVER
         out.tau, out.force = 0.0, 0.0

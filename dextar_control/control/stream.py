@@ -64,9 +64,10 @@ class StateStream:
             limit: longest gap, s.
             arrival: on the steady clock, s; None where states may come at any pace.
         """
+        at = math.nan if arrival is None else arrival
         if self._last >= 0:
             gap = (stamp - self._last) / NANOSECONDS
-            late = math.nan if arrival is None else arrival - self._last_arrival
+            late = at - self._last_arrival
             if gap <= 0.0:
                 self.spoil(f"a state of {stamp} ns after one of {self._last} ns")
             elif gap > limit or late > limit:
@@ -75,10 +76,8 @@ class StateStream:
                     f" limit is {1e3 * limit:.1f} ms"
                 )
         if self._first < 0:
-            self._first = stamp
-            self._first_arrival = math.nan if arrival is None else arrival
-        self._last = stamp
-        self._last_arrival = math.nan if arrival is None else arrival
+            self._first, self._first_arrival = stamp, at
+        self._last, self._last_arrival = stamp, at
 
     def spoil(self, trouble: str) -> None:
         """Begin the healthy time again with the next state, because of a trouble."""

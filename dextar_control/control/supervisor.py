@@ -49,6 +49,8 @@ class Watch(NamedTuple):
         time: the parameter that is the time for which the limit may be passed; empty
             for none.
         reason: of the defaults; "good runs" are those of the campaign that succeed.
+        sentence: that is told when it trips; J is the joints' unit, T that of their
+            torque.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Watch(NamedTuple):
     limit: str
     time: str
     reason: str
+    sentence: str
 
 
 WATCHES = (
@@ -68,6 +71,7 @@ WATCHES = (
         "",
         "0.0012 in good runs, 0.015 when struck at the locus; an encoder that slips by"
         " more is seen at once",
+        "a joint jumped by {value:.4f} {J} in one sample; the limit is {limit:.4g} {J}",
     ),
     Watch(
         "finite",
@@ -76,6 +80,9 @@ WATCHES = (
         "none",
         "",
         "such a number is never commanded",
+        "the estimate or the law gave a number that is not finite; at the sample before"
+        " it a leg was {type1:.3f} from Type 1, where its reach ends (a plan keeps"
+        " {kept:g})",
     ),
     Watch(
         "tracking_error",
@@ -85,6 +92,7 @@ WATCHES = (
         "",
         "2.4 mm in good runs with consistent and observer, and 5 mm is a failure; at"
         " 20 mm the plan cannot be followed",
+        "tracking error {value:.4f} m; the limit is {limit} m",
     ),
     Watch(
         "joint_speed",
@@ -93,6 +101,8 @@ WATCHES = (
         "robot.max_joint_speed x watch.speed_margin",
         "watch.speed_time",
         "a plan may use the robot's limit entirely, and an error adds to it",
+        "joint speed {value:.1f} {J}/s for {lasted:.0f} ms; the limit is {limit:.4g}"
+        " {J}/s for {time:.0f} ms",
     ),
     Watch(
         "platform_speed",
@@ -102,6 +112,8 @@ WATCHES = (
         "watch.speed_time",
         "as the joints'; the time is for the direct model, whose speed has no bound on"
         " the locus",
+        "platform speed {value:.2f} m/s for {lasted:.0f} ms; the limit is {limit:.4g}"
+        " m/s for {time:.0f} ms",
     ),
     Watch(
         "joint_range",
@@ -110,6 +122,8 @@ WATCHES = (
         "watch.joint_margin",
         "",
         "a plan may go to the end of the range; an error of 5 mm is 0.05 rad",
+        "the {side} joint is {value:.3f} {J} outside its range of {low:.4g} to"
+        " {high:.4g} {J}; the limit is {limit:.4g} {J}",
     ),
     Watch(
         "estimator",
@@ -119,6 +133,8 @@ WATCHES = (
         "watch.joint_misfit_time",
         "0.0048 in good runs with a geometry 0.2 mm off, 0.03 with 0.5 mm; a wrong"
         " estimate passes 0.06",
+        "the joints are {value:.4f} {J} from the estimate's for {lasted:.0f} ms; the"
+        " limit is {limit:.4g} {J} for {time:.0f} ms",
     ),
     Watch(
         "locus",
@@ -128,6 +144,8 @@ WATCHES = (
         "",
         "plans keep 0.4 there, approaches 0.2; the robots of good runs kept 0.36. A"
         " robot that comes nearer was pushed, or its estimate is wrong",
+        "the robot is at |s| = {value:.3f} of the locus without a planned crossing; the"
+        " limit is {limit:.4g}",
     ),
     Watch(
         "saturation",
@@ -137,6 +155,8 @@ WATCHES = (
         "torque_limit.time",
         "42 ms in runs that recover from a push of 0.5 N; a robot on the other side, or"
         " against an obstacle, stays there",
+        "torque {value:.3f} {T} for {lasted:.0f} ms; the limit is {limit:.3f} {T} for"
+        " {time:.0f} ms",
     ),
     Watch(
         "torque_rate",
@@ -146,49 +166,12 @@ WATCHES = (
         "watch.torque_rate_time",
         "65 N m/s for 3 ms in good runs; a loop that swings between its limits passes"
         " it at each sample",
+        "the torque changes by {value:.0f} {T}/s for {lasted:.0f} ms; the limit is"
+        " {limit:.4g} {T}/s for {time:.0f} ms",
     ),
 )
-# by the watches' names; J is the joints' unit, T that of their torque
-SENTENCES = {
-    "joint_jump": (
-        "a joint jumped by {value:.4f} {J} in one sample; the limit is {limit:.4g} {J}"
-    ),
-    "finite": (
-        "the estimate or the law gave a number that is not finite; at the sample before"
-        " it a leg was {type1:.3f} from Type 1, where its reach ends (a plan keeps"
-        " {kept:g})"
-    ),
-    "tracking_error": "tracking error {value:.4f} m; the limit is {limit} m",
-    "joint_speed": (
-        "joint speed {value:.1f} {J}/s for {lasted:.0f} ms; the limit is {limit:.4g}"
-        " {J}/s for {time:.0f} ms"
-    ),
-    "platform_speed": (
-        "platform speed {value:.2f} m/s for {lasted:.0f} ms; the limit is {limit:.4g}"
-        " m/s for {time:.0f} ms"
-    ),
-    "joint_range": (
-        "the {side} joint is {value:.3f} {J} outside its range of {low:.4g} to"
-        " {high:.4g} {J}; the limit is {limit:.4g} {J}"
-    ),
-    "estimator": (
-        "the joints are {value:.4f} {J} from the estimate's for {lasted:.0f} ms; the"
-        " limit is {limit:.4g} {J} for {time:.0f} ms"
-    ),
-    "locus": (
-        "the robot is at |s| = {value:.3f} of the locus without a planned crossing; the"
-        " limit is {limit:.4g}"
-    ),
-    "saturation": (
-        "torque {value:.3f} {T} for {lasted:.0f} ms; the limit is {limit:.3f} {T} for"
-        " {time:.0f} ms"
-    ),
-    "torque_rate": (
-        "the torque changes by {value:.0f} {T}/s for {lasted:.0f} ms; the limit is"
-        " {limit:.4g} {T}/s for {time:.0f} ms"
-    ),
-}
-NAMES = [watch.name for watch in WATCHES]
+SENTENCES = {watch.name: watch.sentence for watch in WATCHES}
+NAMES = [*SENTENCES]
 VALUES = tuple(Field(watch.name, watch.unit or "1", watch.value) for watch in WATCHES)
 BOUNDS = (
     Field("middle", "rad", "of the joints' ranges", "n"),
@@ -343,9 +326,7 @@ class Supervisor:
         self._robot, self._joint = robot, model.mechanism.joints[0]
         low, high = (np.array(bounds) for bounds in robot.joint_range)
         watched = Layout("watched", model.n, VALUES)
-        self._values, self._limits, self._passed, self._allowed = (
-            watched.make() for _ in range(4)
-        )
+        self._values, self._limits, self._passed = (watched.make() for _ in range(3))
         self._last = Layout("last", model.n, LAST).make()
         self._bounds = Layout("bounds", model.n, BOUNDS).make(
             middle=0.5 * (low + high), half=0.5 * (high - low)
@@ -369,15 +350,7 @@ class Supervisor:
 
     def configure(self, settings: Settings) -> None:
         """Take the limits, also while running."""
-        limits = self._allowed
-        watch = settings.watch
-        limits.tracking_error = watch.max_tracking_error
-        limits.joint_speed = watch.speed_margin * self._robot.max_joint_speed
-        limits.platform_speed = watch.speed_margin * self._robot.max_platform_speed
-        limits.joint_range = watch.joint_margin
-        limits.joint_jump = watch.max_joint_jump
-        limits.estimator = watch.max_joint_misfit
-        limits.torque_rate = watch.max_torque_rate * self._robot.max_torque
+        watch, robot = settings.watch, self._robot
         self.times |= {
             "joint_speed": watch.speed_time,
             "platform_speed": watch.speed_time,
@@ -385,7 +358,16 @@ class Supervisor:
             "torque_rate": watch.torque_rate_time,
             "saturation": settings.torque_limit.time,
         }
-        limits.locus = watch.min_abs_s
+        limits = self._limits.layout.make(
+            tracking_error=watch.max_tracking_error,
+            joint_speed=watch.speed_margin * robot.max_joint_speed,
+            platform_speed=watch.speed_margin * robot.max_platform_speed,
+            joint_range=watch.joint_margin,
+            joint_jump=watch.max_joint_jump,
+            estimator=watch.max_joint_misfit,
+            torque_rate=watch.max_torque_rate * robot.max_torque,
+            locus=watch.min_abs_s,
+        )
         self._bounds.limits = limits.numbers
 
     def begin(self) -> None:

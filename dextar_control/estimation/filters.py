@@ -120,20 +120,11 @@ class _Filters:
             ca.horzcat(-bias * J.T, zero, bias * one, zero),
             ca.horzcat(zero, zero, zero, noise["disturbance"] ** 2 * one),
         )
-        rest = ca.SX.zeros(self.n)
-        return {
-            "x": x,
-            "x_dot": rest,
-            "b": rest,
-            "d": rest,
-            "x_ddot": rest,
-            "innovation": rest,
-            "innovation_square": ca.SX(0.0),
-            "scatter": rest,
-            "twist": rest,
-            "twist_dot": rest,
-            "covariance": covariance,
+        rest = {
+            field.name: ca.SX.zeros(1 if field.rows == 1 else self.n)
+            for field in FILTER
         }
+        return rest | {"x": x, "covariance": covariance}
 
     def predict(
         self,
@@ -495,6 +486,18 @@ def filters_of(mechanism: Mechanism) -> Library:
         test, f.predict(test, same, tau, dt, test=True), q_meas
     )
     x = ca.SX.sym("x", n)
+
+    def step(
+        name: str,
+        given: dict[str, Symbol],
+        after: dict[str, Symbol],
+        **results: Symbol,
+    ) -> ca.Function:
+        """Return the function that gives the state after a step, and ``results``."""
+        return named(name, given, {"filter_next": f.filter.join(after)} | results)
+
+    given, moving = p | told | whole, {"tau": tau, "dt": dt}
+    finite = ca.vertcat(main["x"], main["x_dot"], main["b"], main["d"])
     return Library(
         [
             named(
@@ -503,51 +506,32 @@ def filters_of(mechanism: Mechanism) -> Library:
                 {"filter": f.filter.join(f.begin(noise, x, speed))},
             ),
             *(
-                named(
-                    name,
-                    p | told | whole | {"tau": tau, "dt": dt},
-                    {
-                        "filter_next": f.filter.join(
-                            f.predict(noise, state, tau, dt, test=test)
-                        )
-                    },
-                )
+                step(name, given | moving, f.predict(noise, state, tau, dt, test=test))
                 for name, test in (("predict", False), ("predict_test", True))
             ),
-            named(
+            step(
                 "correct",
-                p | told | whole | {"q_meas": q_meas, "dt": dt},
-                {"filter_next": f.filter.join(corrected), "struck": struck},
+                given | {"q_meas": q_meas, "dt": dt},
+                corrected,
+                struck=struck,
             ),
-            named(
+            step(
                 "innovate",
-                p | told | whole | {"q_meas": q_meas},
-                {
-                    "filter_next": f.filter.join(innovated),
-                    "square": square,
-                    "spread": spread,
-                },
+                given | {"q_meas": q_meas},
+                innovated,
+                square=square,
+                spread=spread,
             ),
-            named(
+            step(
                 "correct_position",
                 whole | {"x_meas": x_meas, "deviation": deviation},
-                {
-                    "filter_next": f.filter.join(moved),
-                    "square": square_x,
-                    "spread": spread_x,
-                    "distance": ca.norm_2(x_meas - state["x"]),
-                },
+                moved,
+                square=square_x,
+                spread=spread_x,
+                distance=ca.norm_2(x_meas - state["x"]),
             ),
-            named(
-                "unseen_blow",
-                p | told | whole,
-                {"filter_next": f.filter.join(f.unseen_blow(noise, state))},
-            ),
-            named(
-                "unsure",
-                p | told | whole,
-                {"filter_next": f.filter.join(f.unsure(noise, state))},
-            ),
+            step("unseen_blow", given, f.unseen_blow(noise, state)),
+            step("unsure", given, f.unsure(noise, state)),
             *(
                 named(
                     f"mirror_{block}",
@@ -557,46 +541,29 @@ def filters_of(mechanism: Mechanism) -> Library:
                 for block, (image, p_image, type1) in enumerate(images)
             ),
             in_place(
-                named(
+                step(
                     "follow",
-                    p | told | whole | {"tau": tau, "dt": dt, "q_meas": q_meas},
-                    {
-                        "filter_next": f.filter.join(followed),
-                        "fit": ca.vertcat(square_f, spread_f),
-                        "type1": type1_f,
-                    },
+                    given | moving | {"q_meas": q_meas},
+                    followed,
+                    fit=ca.vertcat(square_f, spread_f),
+                    type1=type1_f,
                 )
             ),
             in_place(named("look", p | whole | shown, f.look(state, estimate))),
             in_place(
-                named(
+                step(
                     "advance",
                     p
                     | told
                     | {"test_noise": test_vector}
                     | whole
                     | shown
-                    | {
-                        "same": same_vector,
-                        "tau": tau,
-                        "dt": dt,
-                        "gap": gap,
-                        "q_meas": q_meas,
-                    },
-                    {
-                        "filter_next": f.filter.join(main),
-                        "same_next": f.filter.join(same),
-                        **f.look(main, estimate, fit, fit_spread),
-                        "sample": ca.vertcat(
-                            is_finite(
-                                ca.vertcat(
-                                    main["x"], main["x_dot"], main["b"], main["d"]
-                                )
-                            ),
-                            hit,
-                            is_finite(fit),
-                        ),
-                    },
+                    | {"same": same_vector, "tau": tau, "dt": dt, "gap": gap}
+                    | {"q_meas": q_meas},
+                    main,
+                    same_next=f.filter.join(same),
+                    **f.look(main, estimate, fit, fit_spread),
+                    sample=ca.vertcat(is_finite(finite), hit, is_finite(fit)),
                 )
             ),
         ],

@@ -7,11 +7,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from operator import itemgetter
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dextar_control.contract.settings import CrossingTestSettings
 from dextar_control.estimation.belief import CERTAIN, DOUBT_S, Belief, log_odds_of_side
 from dextar_control.estimation.filters import FILTER, NOISE, TOLD, filters_of
 from dextar_control.estimation.records import ESTIMATE
@@ -31,14 +31,6 @@ WALK = 0.5  # 1/sqrt(s), of such a torque's random walk over itself
 # m/s of the platform under either hypothesis, from which a sample counts in a test
 MOVING = 5e-3
 LOST = 0.5  # of the least distance to Type 1, below which the working mode is unsure
-
-
-class TestLimits(NamedTuple):
-    """The limits at which the sequential test begins and ends."""
-
-    armed: float  # |s| within which the assembly mode counts as unknown
-    begin: float  # |s| outside which the mirror image can be told from the state
-    log_odds: float  # that decide
 
 
 @dataclass(slots=True)
@@ -78,11 +70,8 @@ class Observer:
         same: from the main one's state, with less noise: the hypothesis that the main
             filter is right; without a test it measures how well the model fits.
         noise: of the main filter; test_noise: of the others.
-        test_encoder: standard deviation of a sample in a test where the model fits,
-            rad.
-        most_lacking: largest torque at a joint that is not modelled, N m; a test allows
-            for what there was while the side was known.
-        test_limits: at which a test begins and ends.
+        crossing_test: the settings of a test, which allows for the torques that are not
+            modelled of before it, up to ``max_disturbance``.
         sides: of the blocks of A_r, mostly one, whose belief, told and image are the
             observer's.
         modes: (assembly mode, confidence in it) of each block when ``tell_side`` was
@@ -100,9 +89,9 @@ class Observer:
         self.noise, self.test_noise = noise.make(), noise.make()
         self.estimate = estimate or Layout("estimate", model.n, ESTIMATE).make()
         self.estimate.s = math.nan
-        self.test_limits = TestLimits(0.0, 0.0, 0.0)
+        self.crossing_test = CrossingTestSettings(*[0.0] * 8)
         self._finite = True
-        self.test_encoder, self.most_lacking, self._lacking = 0.0, 0.0, [0.0] * model.n
+        self._lacking = [0.0] * model.n
         self._p, self._library = model.p, filters_of(model.mechanism)
         self._model = model
         self._rows = [len(rows) for rows in model.blocks]
@@ -318,7 +307,7 @@ class Observer:
         advance.run()
         finite, hit, fitting = advance.results.sample.tolist()
         self._finite, struck, fits = finite > 0.0, hit > 0.0, fitting > 0.0
-        quiet, armed = fits and not struck, self.test_limits.armed
+        quiet, armed = fits and not struck, self.crossing_test.unknown_below_abs_s
         for block, side in enumerate(self.sides):
             belief = side.belief
             if belief.testing or belief.armed:
@@ -373,13 +362,14 @@ class Observer:
         there was while the side was known, and for as much noise of the samples as
         there was then (backlash, a belt that is not in the robot's file).
         """
-        noise, lacking, misfit = self.test_noise, self.most_lacking, 1.0
+        noise, misfit = self.test_noise, 1.0
+        lacking = self.crossing_test.max_disturbance
         if known := [
             side.belief.misfit_known for side in self.sides if side.belief.testing
         ]:
             lacking = min(max(LEAST_LACKING, *map(abs, self._lacking)), lacking)
             misfit = max(misfit, *known)
-        noise.encoder = self.test_encoder * math.sqrt(misfit)
+        noise.encoder = self.crossing_test.encoder_deviation * math.sqrt(misfit)
         noise.disturbance = noise.disturbance_turn = lacking
         noise.disturbance_walk = WALK * lacking
         self.same.take(self.main)
@@ -426,7 +416,8 @@ class Observer:
         too, until the robot next comes near the locus, where the state is suddenly on
         the other side.
         """
-        belief, limits = side.belief, self.test_limits
+        belief, told = side.belief, self.crossing_test
+        armed, begin = told.unknown_below_abs_s, told.begin_below_abs_s
         if not (math.isfinite(s) and type1 >= self._sure_type1):
             belief.strayed = True
         if belief.strayed:
@@ -434,11 +425,11 @@ class Observer:
             belief.seen = 0.0
             return
         near, mode = abs(s), 1.0 if s > 0.0 else -1.0
-        if mode * belief.mode < 0.0 and not belief.armed and near >= limits.armed:
+        if mode * belief.mode < 0.0 and not belief.armed and near >= armed:
             belief.unsure()
             belief.mode = mode
             return
-        if near < limits.armed:
+        if near < armed:
             beliefs = [other.belief for other in self.sides]
             if not any(one.armed or one.testing for one in beliefs):
                 self._lacking = self.same.d.tolist()
@@ -447,15 +438,15 @@ class Observer:
             belief.log_odds = log_odds_of_side(s, s_variance) if folded else 0.0
         elif belief.armed and folded:
             belief.log_odds = log_odds_of_side(s, s_variance)
-            belief.armed = near < limits.begin
-        elif belief.armed and near >= limits.begin:
+            belief.armed = near < begin
+        elif belief.armed and near >= begin:
             if self._begin_test(block, side):
                 self._restart_tests(side)
-        elif belief.doubtful and limits.begin <= near < DOUBT_S:
+        elif belief.doubtful and begin <= near < DOUBT_S:
             belief.unsure()
             if self._begin_test(block, side):
                 self._restart_tests(side)
-        elif belief.testing and abs(belief.log_odds) >= limits.log_odds:
+        elif belief.testing and abs(belief.log_odds) >= told.log_odds:
             if belief.log_odds < 0.0:
                 if (side.p != self._p).any():  # in another working mode
                     belief.strayed = True

@@ -8,7 +8,7 @@ from dextar_control.contract.settings import Settings
 from dextar_control.estimation.belief import CERTAIN, Belief
 from dextar_control.estimation.estimate import Estimator
 from dextar_control.estimation.joint_filter import JointFilter
-from dextar_control.estimation.observer import REST_SPEED, Observer, TestLimits
+from dextar_control.estimation.observer import REST_SPEED, Observer
 from dextar_control.model.model import Model
 from dextar_control.symbols.record import Record
 from dextar_control.symbols.types import Array
@@ -34,32 +34,30 @@ class ObserverEstimator(Estimator):
         """See ``Estimator``."""
         noise, test = self.observer.noise, self.observer.test_noise
         told, test_told = settings.observer, settings.crossing_test
-        noise.encoder = told.encoder_deviation
-        noise.bias, noise.bias_walk = told.bias_deviation, told.bias_walk
-        noise.torque = told.torque_deviation
-        noise.acceleration = told.acceleration_deviation
-        noise.scatter_gain = told.scatter_gain
-        noise.disturbance = told.disturbance_deviation
-        noise.disturbance_walk = told.disturbance_walk
-        noise.shock_gate = told.impact_gate**2
-        noise.shock_speed = told.impact_speed
+        now = noise.layout.make(
+            encoder=told.encoder_deviation,
+            scatter_gain=told.scatter_gain,
+            bias=told.bias_deviation,
+            bias_walk=told.bias_walk,
+            torque=told.torque_deviation,
+            acceleration=told.acceleration_deviation,
+            disturbance=told.disturbance_deviation,
+            disturbance_walk=told.disturbance_walk,
+            shock_gate=told.impact_gate**2,
+            shock_speed=told.impact_speed,
+        )
+        noise.take(now)
         # of a test that may be going on:
         allowed = test.disturbance, test.disturbance_turn, test.disturbance_walk
-        before = self.observer.test_encoder
+        before = self.observer.crossing_test.encoder_deviation
         worse = test.encoder / before if before else 1.0
         test.take(noise)
         test.disturbance, test.disturbance_turn, test.disturbance_walk = allowed
         test.encoder = test_told.encoder_deviation * worse
-        self.observer.test_encoder = test_told.encoder_deviation
         test.torque = test_told.torque_deviation
         test.bias = test_told.bias_deviation
         test.acceleration = test_told.acceleration_deviation
-        self.observer.most_lacking = test_told.max_disturbance
-        self.observer.test_limits = TestLimits(
-            test_told.unknown_below_abs_s,
-            test_told.begin_below_abs_s,
-            test_told.log_odds,
-        )
+        self.observer.crossing_test = test_told
         self.unknown_s = test_told.unknown_below_abs_s
         self._sure = settings.mode_check.confidence
         self._bandwidth = settings.joint_filter.bandwidth

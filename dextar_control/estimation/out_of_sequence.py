@@ -13,9 +13,9 @@ blow along t_s near the locus, which hardly shows there: where the position befo
 used, a position that is off along t_s alone is explained by such a blow. A position
 that fits only the image counts against the estimate by the ratio of the two
 likelihoods, bounded by MOST_TOLD, as one position may always be wrong. When enough has
-been counted (``TestLimits.log_odds``) the estimate moves to the image. Near the locus,
-where the assembly mode is unknown anyway, it does so at once, and such positions do not
-count later.
+been counted (``crossing_test.log_odds``) the estimate moves to the image. Near the
+locus, where the assembly mode is unknown anyway, it does so at once, and such positions
+do not count later.
 """
 
 from __future__ import annotations
@@ -158,8 +158,8 @@ class SampleHistory:
         if belief.swaps > swaps:
             belief.seen = -belief.seen
         s, folded = abs(observer.told.s), observer.is_folded()
-        if belief.seen != 0.0 and s < observer.test_limits.begin:
-            known = s >= observer.test_limits.armed or folded
+        if belief.seen != 0.0 and s < observer.crossing_test.begin_below_abs_s:
+            known = s >= observer.crossing_test.unknown_below_abs_s or folded
             most = log_odds_of_side(s, observer.told.s_variance) if known else 0.0
             belief.seen = min(max(belief.seen, -most), most)
         if belief.armed and not folded:
@@ -239,7 +239,7 @@ class SampleHistory:
             return PositionOutcome.JUMP
         ratio = 0.5 * (square_image + spread_image - square - spread)
         told = min(max(ratio, -MOST_TOLD), MOST_TOLD)
-        decisive = observer.test_limits.log_odds
+        decisive = observer.crossing_test.log_odds
         seen = min(max(belief.seen + told, -decisive), decisive)
         if belief.testing:
             belief.log_odds += seen - belief.seen

@@ -11,7 +11,7 @@ import numpy as np
 
 from dextar_control.mechanisms.bodies import Bodies, Pin
 from dextar_control.mechanisms.five_bar_locus import LEAST_CHORD, SIDES, FiveBarLocus
-from dextar_control.mechanisms.mechanism import Coordinate, Parameter, Values
+from dextar_control.mechanisms.mechanism import Constant, Coordinate, Values
 from dextar_control.mechanisms.planar import (
     circles,
     direction,
@@ -32,9 +32,9 @@ class FiveBar(FiveBarLocus):
     joints = (Coordinate("q11", "rad"), Coordinate("q21", "rad"))
     coordinates = (Coordinate("x", "m"), Coordinate("y", "m"))
     parameters = (
-        *(Parameter(f"{side}.axis", "m", "of the motor", size=2) for side in SIDES),
+        *(Constant(f"{side}.axis", "m", "of the motor", size=2) for side in SIDES),
         *(number for side in SIDES for number in leg_parameters(side)),
-        Parameter("end_effector_mass", "kg", "point mass at the end effector", 0.0),
+        Constant("end_effector_mass", "kg", "point mass at the end effector", 0.0),
         *plane_parameters(2),
     )
 
@@ -171,14 +171,14 @@ class DetailedFiveBar(FiveBar):
 
     detail = (
         *(
-            Parameter(f"{side}.{name}", unit, "of the elbow", 0.0)
+            Constant(f"{side}.{name}", unit, "of the elbow", 0.0)
             for side in SIDES
             for name, unit in PASSIVE
         ),
-        Parameter("pin_viscous_friction", "N m s/rad", "between the distal links", 0.0),
-        Parameter("pin_coulomb_friction", "N m", "between the distal links", 0.0),
+        Constant("pin_viscous_friction", "N m s/rad", "between the distal links", 0.0),
+        Constant("pin_coulomb_friction", "N m", "between the distal links", 0.0),
         *(
-            Parameter(
+            Constant(
                 f"{side}.transmission_stiffness",
                 "N m/rad",
                 "behind the rotor; 0 is rigid",
@@ -187,7 +187,7 @@ class DetailedFiveBar(FiveBar):
             for side in SIDES
         ),
         *(
-            Parameter(f"{side}.transmission_damping", "N m s/rad", "beside it", 0.0)
+            Constant(f"{side}.transmission_damping", "N m s/rad", "beside it", 0.0)
             for side in SIDES
         ),
     )

@@ -42,7 +42,7 @@ class Coordinate:
 
 
 @dataclass(frozen=True)
-class Parameter:
+class Constant:
     """A number, or some, that the equations take.
 
     Attributes:
@@ -134,7 +134,7 @@ class Mechanism(ABC):
     name: str
     joints: tuple[Coordinate, ...]
     coordinates: tuple[Coordinate, ...]
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[Constant, ...]
 
     @property
     def n(self) -> int:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 from dextar_control.mechanisms.bodies import GROUND, Link
-from dextar_control.mechanisms.mechanism import Mechanism, Parameter, Values
+from dextar_control.mechanisms.mechanism import Constant, Mechanism, Values
 from dextar_control.symbols.types import Symbol
 
 Ends = tuple[Symbol, Symbol]
@@ -18,7 +18,7 @@ MOST_COSINE = 1.0 - 1e-6
 LEAST_REACH = 1e-6  # of the proximal length, below which a leg's end has no direction
 
 
-def leg_parameters(leg: str) -> tuple[Parameter, ...]:
+def leg_parameters(leg: str) -> tuple[Constant, ...]:
     """Return the parameters of a leg of two links, under the leg's name."""
     links = (("proximal", "motor"), ("distal", "elbow"))
     return (
@@ -26,46 +26,44 @@ def leg_parameters(leg: str) -> tuple[Parameter, ...]:
             parameter
             for link, joint in links
             for parameter in (
-                Parameter(
-                    f"{leg}.{link}_length", "m", f"of the {link} link", above=0.0
-                ),
-                Parameter(f"{leg}.{link}_mass", "kg", f"of the {link} link", 0.0),
-                Parameter(
+                Constant(f"{leg}.{link}_length", "m", f"of the {link} link", above=0.0),
+                Constant(f"{leg}.{link}_mass", "kg", f"of the {link} link", 0.0),
+                Constant(
                     f"{leg}.{link}_center",
                     "1",
                     f"centre of mass from the {joint}, as a fraction of the length",
                     0.0,
                     1.0,
                 ),
-                Parameter(
+                Constant(
                     f"{leg}.{link}_inertia", "kg m^2", "about its centre of mass", 0.0
                 ),
             )
         ),
-        Parameter(
+        Constant(
             f"{leg}.rotor_inertia",
             "kg m^2",
             "of the motor, reflected to the joint",
             0.0,
         ),
-        Parameter(f"{leg}.viscous_friction", "N m s/rad", "of the active joint", 0.0),
-        Parameter(f"{leg}.coulomb_friction", "N m", "of the active joint", 0.0),
+        Constant(f"{leg}.viscous_friction", "N m s/rad", "of the active joint", 0.0),
+        Constant(f"{leg}.coulomb_friction", "N m", "of the active joint", 0.0),
     )
 
 
-def plane_parameters(legs: int) -> tuple[Parameter, ...]:
+def plane_parameters(legs: int) -> tuple[Constant, ...]:
     """Return the parameters that legs of two links share: gravity, friction, elbow
     sides.
     """
     return (
-        Parameter("gravity", "m/s^2", "in the robot's plane", size=2),
-        Parameter(
+        Constant("gravity", "m/s^2", "in the robot's plane", size=2),
+        Constant(
             "coulomb_speed",
             "rad/s",
             "over which Coulomb friction changes sign",
             above=0.0,
         ),
-        Parameter(
+        Constant(
             "working_mode",
             "1",
             "elbow side of the legs: +1 left of the line from base to tip",

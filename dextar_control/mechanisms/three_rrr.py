@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from dextar_control.mechanisms.bodies import Bodies, Link, Pin
-from dextar_control.mechanisms.mechanism import Coordinate, Parameter, Values
+from dextar_control.mechanisms.mechanism import Constant, Coordinate, Values
 from dextar_control.mechanisms.planar import (
     TwoLinkLegs,
     direction,
@@ -44,24 +44,24 @@ class ThreeRRR(TwoLinkLegs):
         Coordinate("rho_phi", "m"),
     )
     parameters = (
-        Parameter("base_radius", "m", "of the circle of the motor axes", above=0.0),
-        Parameter(
+        Constant("base_radius", "m", "of the circle of the motor axes", above=0.0),
+        Constant(
             "platform_radius", "m", "of the circle of the platform's corners", above=0.0
         ),
-        Parameter(
+        Constant(
             "rotation_radius",
             "m",
             "rho, by which the platform's angle is a length",
             above=0.0,
         ),
         *(number for name in LEGS for number in leg_parameters(name)),
-        Parameter(
+        Constant(
             "platform_mass",
             "kg",
             "of the platform, its centre of mass in its middle",
             above=0.0,
         ),
-        Parameter("platform_inertia", "kg m^2", "about its middle", above=0.0),
+        Constant("platform_inertia", "kg m^2", "about its middle", above=0.0),
         *plane_parameters(3),
     )
 

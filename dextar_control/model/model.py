@@ -185,6 +185,7 @@ def library_of(mechanism: Mechanism) -> Library:
     e = equations_of(mechanism)
     vector, p = mechanism.symbols()
     x = ca.SX.sym("x", mechanism.n)
+    at = equations_on(mechanism, vector, x, ca.SX.zeros(mechanism.n))
     closed = {"p": e.p, "q_a": e.q_a, "x": e.x, "x_dot": e.x_dot}
     functions = [
         named(
@@ -207,7 +208,19 @@ def library_of(mechanism: Mechanism) -> Library:
                 "t_s": e.singular.v_weak,
             },
         ),
-        named("place", {"p": vector, "x": x}, _place(mechanism, vector, x)),
+        named(
+            "place",
+            {"p": vector, "x": x},
+            {
+                "q_a": at.q_a,
+                "A_r": at.A_r,
+                "s": at.s,
+                "s_blocks": at.s_blocks,
+                "type1": at.type1,
+                "t_s": at.singular.v_weak,
+                "gradient": ca.gradient(at.s, x),
+            },
+        ),
         named(
             "wrenches",
             closed | {"x_ddot": e.x_ddot},
@@ -242,20 +255,6 @@ def library_of(mechanism: Mechanism) -> Library:
             )
         )
     return Library(functions, cache_folder())
-
-
-def _place(mechanism: Mechanism, vector: Symbol, x: Symbol) -> dict[str, Symbol]:
-    """Return the results of ``Model.place``."""
-    at = equations_on(mechanism, vector, x, ca.SX.zeros(mechanism.n))
-    return {
-        "q_a": at.q_a,
-        "A_r": at.A_r,
-        "s": at.s,
-        "s_blocks": at.s_blocks,
-        "type1": at.type1,
-        "t_s": at.singular.v_weak,
-        "gradient": ca.gradient(at.s, x),
-    }
 
 
 def _closed_near(mechanism: Mechanism, e: Equations) -> ca.Function:

@@ -9,28 +9,28 @@ from pathlib import Path
 from typing import cast
 
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.robot import PREFIX, RobotParameters
-from dextar_control.contract.yaml_text import load_parameters
+from dextar_control.contract.plain_data import ParameterValue
+from dextar_control.contract.robot import RobotParameters, robot_in
 from dextar_control.mechanisms import mechanism_named
-from dextar_control.mechanisms.mechanism import Mechanism, Parameter
+from dextar_control.mechanisms.mechanism import Constant, Mechanism
 
 LIMITS = (
-    Parameter(
+    Constant(
         "max_torque", "N m (N of a prismatic joint)", "of each active joint", above=0.0
     ),
-    Parameter(
+    Constant(
         "max_joint_speed",
         "rad/s (m/s of a prismatic joint)",
         "of each active joint",
         above=0.0,
     ),
-    Parameter(
+    Constant(
         "max_platform_speed",
         "m/s",
         "of the platform, all coordinates together",
         above=0.0,
     ),
-    Parameter("min_type1_distance", "1", "least distance of a leg to Type 1", 0.0, 1.0),
+    Constant("min_type1_distance", "1", "least distance of a leg to Type 1", 0.0, 1.0),
 )
 
 
@@ -87,7 +87,7 @@ class Robot:
         limits = {limit.name: limit.check(values[limit.name])[0] for limit in LIMITS}
         low, high = (
             tuple(
-                Parameter(name, "rad or m", "of the joints", size=mechanism.n).check(
+                Constant(name, "rad or m", "of the joints", size=mechanism.n).check(
                     values.get(name, [bound] * mechanism.n)
                 )
             )
@@ -99,15 +99,12 @@ class Robot:
                     f"robot.joint_min = {least} with joint_max = {largest} of"
                     f" {joint.name}; it must be smaller"
                 )
-        items = [
-            (parameter.name, values[parameter.name])
-            for parameter in mechanism.parameters
-        ]
-        frozen = tuple(
+        given = {number.name: values[number.name] for number in mechanism.parameters}
+        items = tuple(
             (name, tuple(value) if isinstance(value, list) else value)
-            for name, value in items
+            for name, value in given.items()
         )
-        return cls(mechanism, frozen, **limits, joint_range=(low, high))
+        return cls(mechanism, items, **limits, joint_range=(low, high))
 
     @property
     def numbers(self) -> dict[str, object]:
@@ -159,17 +156,10 @@ def load_any_robot(path: str | Path) -> Robot:
         ParameterError: the file cannot be read, names no mechanism that there is, or a
             number is missing or out of its bounds.
     """
-    values = load_parameters(path, what="robot file").get("/**", {})
-    flat = {
-        key.removeprefix(PREFIX): value
-        for key, value in values.items()
-        if key.startswith(PREFIX)
-    }
-    if "mechanism" not in flat:
-        raise ParameterError(
-            f"robot file {path}: robot.mechanism is missing; it names the mechanism"
-        )
-    try:
+
+    def make(flat: dict[str, ParameterValue]) -> Robot:
+        if "mechanism" not in flat:
+            raise ParameterError("robot.mechanism is missing; it names the mechanism")
         return Robot.of(mechanism_named(flat["mechanism"]), flat)
-    except ParameterError as error:
-        raise ParameterError(f"robot file {path}: {error}") from error
+
+    return robot_in(path, make)

@@ -402,18 +402,17 @@ class DextarNode(RunnableNode):
 def _descriptor(spec: Parameter, value: ParameterValue) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=spec.measured, dynamic_typing=True)
     descriptor.additional_constraints = spec.allowed
-    if spec.minimum is None and spec.maximum is None:
+    if spec.bounds is None:
         return descriptor
+    low, high = spec.bounds
     if isinstance(value, float):
-        low = -1.0e308 if spec.minimum is None else float(spec.minimum)
-        high = 1.0e308 if spec.maximum is None else float(spec.maximum)
+        most = 1.0e308 if high is None else float(high)
         descriptor.floating_point_range = [
-            FloatingPointRange(from_value=low, to_value=high)
+            FloatingPointRange(from_value=float(low), to_value=most)
         ]
     elif isinstance(value, int) and not isinstance(value, bool):
-        low_int = -(2**62) if spec.minimum is None else int(spec.minimum)
-        high_int = 2**62 if spec.maximum is None else int(spec.maximum)
-        descriptor.integer_range = [IntegerRange(from_value=low_int, to_value=high_int)]
+        last = 2**62 if high is None else int(high)
+        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=last)]
     return descriptor
 
 

@@ -99,13 +99,15 @@ class Best:
         generator = np.random.default_rng(0)
         for row in range(RESTARTS):
             if self.found is None or enough(self.found):
-                return
+                break
             progress(row / RESTARTS, f"restart {row + 1} of {RESTARTS}")
             problem, guess = self.found.problem.opened(*BENDS), self.found.z.copy()
             guess.numbers[problem.free] += (
                 RESTART_SPREAD * (row > 0) * generator.normal(size=len(problem.free))
             )
             self.offer(problem, guess)
+        certified = self.found is not None and self.found.plan is not None
+        progress(1.0, "certified" if certified else "not found")
 
     def outcome(
         self,

@@ -127,10 +127,6 @@ def plan_crossing(
         if best.offer(problem, _guess(problem, at, before, after, bent)):
             break
     best.restart(lambda found: found.plan is not None, progress)
-    progress(
-        1.0,
-        "not found" if best.found is None or best.found.plan is None else "certified",
-    )
     return best.outcome(
         f"way from {in_words(start)} to {in_words(goal)}", duration is None
     )

@@ -140,7 +140,6 @@ def plan_through(
             **({} if near is None else {"point": near.tolist()}),
         )
     best.restart(lambda found: found.good, progress)
-    progress(1.0, "not found" if best.found.plan is None else "certified")
 
     def other_point() -> LocusPoint | None:
         for shift in NEIGHBOURS:

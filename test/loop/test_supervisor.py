@@ -112,7 +112,7 @@ def test_every_watch_has_its_parameters_and_reasons() -> None:
             assert (
                 declared[name].description
                 and declared[name].live
-                and declared[name].maximum is not None
+                and declared[name].bounds
             )
     named = {
         name for watch in WATCHES for name in (watch.limit.split()[-1], watch.time)

@@ -204,11 +204,8 @@ def test_no_parameter_is_without_description_and_range(asleep: Rig) -> None:
             assert all(
                 choice in descriptor.additional_constraints for choice in spec.choices
             )
-        elif spec.minimum is not None:
-            assert (ranges[0].from_value, ranges[0].to_value) == (
-                spec.minimum,
-                spec.maximum,
-            )
+        elif spec.bounds is not None:
+            assert (ranges[0].from_value, ranges[0].to_value) == spec.bounds
     robot = {
         name.removeprefix("robot."): each.description
         for name, each in told.items()

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from dextar_control.mechanisms.bodies import GROUND, Bodies, Link, Pin
-from dextar_control.mechanisms.mechanism import Coordinate, Mechanism, Parameter
+from dextar_control.mechanisms.mechanism import Constant, Coordinate, Mechanism
 from dextar_control.mechanisms.planar import circles, direction, loaded_rod, rod
 from dextar_control.model.robot import Robot
 from dextar_control.symbols.types import Symbol
@@ -34,19 +34,19 @@ class Biglide(Mechanism):
             number
             for leg in LEGS
             for number in (
-                Parameter(f"{leg}.rail_origin", "m", "where q is zero", size=2),
-                Parameter(f"{leg}.rail_angle", "rad", "of the rail", -np.pi, np.pi),
-                Parameter(f"{leg}.bar_length", "m", "from slider to point", above=0.0),
-                Parameter(f"{leg}.bar_mass", "kg", "of a uniform bar", 0.0),
-                Parameter(
+                Constant(f"{leg}.rail_origin", "m", "where q is zero", size=2),
+                Constant(f"{leg}.rail_angle", "rad", "of the rail", -np.pi, np.pi),
+                Constant(f"{leg}.bar_length", "m", "from slider to point", above=0.0),
+                Constant(f"{leg}.bar_mass", "kg", "of a uniform bar", 0.0),
+                Constant(
                     f"{leg}.slider_mass", "kg", "with the motor's share", above=0.0
                 ),
-                Parameter(f"{leg}.viscous_friction", "N s/m", "of the slider", 0.0),
+                Constant(f"{leg}.viscous_friction", "N s/m", "of the slider", 0.0),
             )
         ),
-        Parameter("point_mass", "kg", "where the bars meet", above=0.0),
-        Parameter("gravity", "m/s^2", "in the robot's plane", size=2),
-        Parameter(
+        Constant("point_mass", "kg", "where the bars meet", above=0.0),
+        Constant("gravity", "m/s^2", "in the robot's plane", size=2),
+        Constant(
             "working_mode",
             "1",
             "+1 with the slider ahead of the point along its rail, -1 behind it",

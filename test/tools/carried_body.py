@@ -18,7 +18,7 @@ import numpy as np
 from dextar_control.contract.resources import ROBOT_FILE, config_file
 from dextar_control.contract.robot import flatten, load_robot
 from dextar_control.mechanisms.five_bar import FiveBar
-from dextar_control.mechanisms.mechanism import Coordinate, Mechanism, Parameter
+from dextar_control.mechanisms.mechanism import Constant, Coordinate, Mechanism
 from dextar_control.mechanisms.planar import direction
 from dextar_control.model.robot import Robot
 from dextar_control.planning.locus import LocusPoint, nearest_point
@@ -47,7 +47,7 @@ class CarriedBody(Mechanism):
     )
     parameters = (
         *(
-            Parameter(
+            Constant(
                 f"{arm}.{given.name}",
                 given.unit,
                 given.meaning,
@@ -59,18 +59,18 @@ class CarriedBody(Mechanism):
             for arm in ARMS
             for given in FIVE_BAR.parameters
         ),
-        Parameter(
+        Constant(
             "second_origin",
             "m",
             "of the second five-bar's frame in the first one's",
             size=2,
         ),
-        Parameter("second_angle", "rad", "of that frame", -np.pi, np.pi),
-        Parameter("body_mass", "kg", "of the body", above=0.0),
-        Parameter(
+        Constant("second_angle", "rad", "of that frame", -np.pi, np.pi),
+        Constant("body_mass", "kg", "of the body", above=0.0),
+        Constant(
             "body_center", "m", "its centre of mass from the pin, towards the slot"
         ),
-        Parameter("body_inertia", "kg m^2", "about its centre of mass", above=0.0),
+        Constant("body_inertia", "kg m^2", "about its centre of mass", above=0.0),
     )
 
     def _each(self, method: str, p: Any, *arguments: Symbol) -> list[Any]:

@@ -244,12 +244,12 @@ def test_each_setting_of_the_loop_is_a_described_parameter() -> None:
     ("spec", "value", "default", "message"),
     [
         (
-            Parameter("rate", "", 1.0, 10.0),
+            Parameter("rate", "", (1.0, 10.0)),
             11.0,
             5.0,
             r"'rate' = 11.0; it must be <= 10",
         ),
-        (Parameter("rate", "", 1.0, 10.0), float("nan"), 5.0, "it must be finite"),
+        (Parameter("rate", "", (1.0, 10.0)), float("nan"), 5.0, "it must be finite"),
         (Parameter("rate", ""), "fast", 5.0, "it must be a number"),
         (Parameter("count", ""), 1.5, 5, "it must be an integer"),
         (Parameter("point", "", size=2), [1.0], [0.0, 0.0], "it must be 2 numbers"),

@@ -133,7 +133,7 @@ def test_choices_and_limits_in_the_table_are_those_of_the_rooms_that_use_them() 
     names = {criterion.name.lower() for criterion in CrossingCriterion}
     assert {*served["task.criterion"].choices} == names
     time = served["task.locus_time"]
-    assert (time.minimum, time.maximum) == LOCUS_TIMES
+    assert time.bounds == LOCUS_TIMES
     assert {*kept["bag.compression"].choices} == {*COMPRESSIONS}
 
 

@@ -78,6 +78,10 @@ ODD_FILES = {  # content, what is said of it as a robot file
         b"/**:\n  ros__parameters:\n",
         "line 2: nothing stands where a mapping of parameters",
     ),
+    "one underscore": (
+        b"/**:\n  ros_parameters:\n    robot:\n      left: {axis: [0.0, 0.0]}\n",
+        "line 2: 'ros_parameters' stands where 'ros__parameters', with two underscores",
+    ),
     "tab": (
         b"/**:\n\tros__parameters: {a: 1}\n",
         "line 2: while scanning for the next token",

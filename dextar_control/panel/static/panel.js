@@ -340,8 +340,7 @@
       row.className = "parameter";
       row.dataset.name = spec.name;
       name.textContent = spec.name;
-      const range = spec.choices.length ? "" : spec.minimum !== null && spec.maximum !== null ? `${spec.minimum} to ${spec.maximum}`
-        : spec.minimum !== null ? `at least ${spec.minimum}` : spec.maximum !== null ? `at most ${spec.maximum}` : "";
+      const range = !spec.bounds ? "" : spec.bounds[1] === null ? `at least ${spec.bounds[0]}` : spec.bounds.join(" to ");
       const unit = spec.unit && spec.unit !== "1" ? spec.unit : "";
       about.textContent = `${spec.description} ${[range, unit].filter(Boolean).join(" ")}${range || unit ? ", " : ""}default ${shown(spec.default)}`;
       const words = spec.choices.length ? spec.choices : typeof spec.default === "boolean" ? ["true", "false"] : null;
