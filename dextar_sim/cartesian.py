@@ -22,10 +22,9 @@ from dextar_sim.geometry import FiveBarPlacing, joints_dot_at, tip_of
 from dextar_sim.platform_motion import PlatformMotion
 from dextar_sim.state import PlantState, check_steps, leg_motors, saturated
 
+# |sin delta| of a leg outside the coordinates below which the motion is not followed:
+# both legs stretched or folded.
 _LEAST_SINE = 0.01
-"""|sin delta| of a leg outside the coordinates below which the motion is not followed:
-both legs stretched or folded.
-"""
 
 
 class CartesianPlant(FiveBarPlacing):

@@ -60,14 +60,11 @@ from dextar_sim.sensors import (
     TorqueCommand,
 )
 
-REPEAT_AFTER = 0.5
-"""s without an answer after which lockstep publishes a state again."""
+REPEAT_AFTER = 0.5  # s without an answer after which lockstep publishes a state again
 
 
-COMMANDER_PERIOD = 0.1
-"""s between two looks at who publishes commands."""
-IDLE_WAIT = 0.05
-"""s for which a paused plant waits for a service call at a time."""
+COMMANDER_PERIOD = 0.1  # s between two looks at who publishes commands
+IDLE_WAIT = 0.05  # s for which a paused plant waits for a service call at a time
 
 
 class Reported(NamedTuple):

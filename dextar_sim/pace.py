@@ -13,38 +13,29 @@ from typing import Protocol
 
 from rclpy.executors import Executor
 
+# Share of the period below which two deadlines never come together, however late the
+# samples are.
 SHORTEST = 0.75
-"""Share of the period below which two deadlines never come together, however late the
-samples are.
-"""
+# The same while the command for the last sample is awaited: making up must not make
+# commands late.
 PATIENT = 0.95
-"""The same while the command for the last sample is awaited: making up must not make
-commands late.
-"""
+# Share of the period by which a sample may miss its deadline and not move the next one.
 JITTER = 0.25
-"""Share of the period by which a sample may miss its deadline and not move the next
-one.
-"""
+# s by which a sample may be out before its deadline: no sleep is as short.
 EARLY = 2.0e-5
-"""s by which a sample may be out before its deadline: no sleep is as short."""
+# s after which timers and services are served where the loop does not sleep.
 SERVED_EACH = 0.01
-"""s after which timers and services are served where the loop does not sleep."""
-SERVED_AT_ONCE = 4
-"""Of them."""
-MOST_BEHIND = 50_000_000
-"""ns up to which lateness is made up for."""
+SERVED_AT_ONCE = 4  # of them
+MOST_BEHIND = 50_000_000  # ns up to which lateness is made up for
 
 
+# Real-time factor below which a real-time plant is too slow: the rate that its states
+# then miss is warned of there too.
 LEAST_FACTOR = 0.95
-"""Real-time factor below which a real-time plant is too slow: the rate that its states
-then miss is warned of there too.
-"""
+# Share of the steps without their command in time, above which that is told: a held
+# command is an older one.
 MOST_LATE = 0.1
-"""Share of the steps without their command in time, above which that is told: a held
-command is an older one.
-"""
-JUDGED = 500_000_000
-"""ns of running from which on they are judged."""
+JUDGED = 500_000_000  # ns of running from which on they are judged
 
 
 def keeping_pace(steps: int, late: int, ran: int, period: int) -> list[str]:

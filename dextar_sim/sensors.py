@@ -19,8 +19,7 @@ from dextar_control.symbols.types import Array, Numbers
 Item = TypeVar("Item")
 
 
-_ROUNDING = 1.0e-9
-"""Share of a sample that a time may be off and still fall on it."""
+_ROUNDING = 1.0e-9  # share of a sample that a time may be off and still fall on it
 
 
 def check_nonnegative(what: str = "", **values: float) -> None:
