@@ -105,10 +105,7 @@ class CartesianPlant(FiveBarPlacing):
         )
 
     def step(
-        self,
-        torque: Numbers,
-        earlier: Numbers | None = None,
-        late: int = 0,
+        self, torque: Numbers, earlier: Numbers | None = None, late: int = 0
     ) -> Array:
         """Advance one period under constant motor torques.
 
@@ -141,11 +138,7 @@ class CartesianPlant(FiveBarPlacing):
         return np.array(net) if self._effects is None else self._effects.motor_torque
 
     def _step_each(
-        self,
-        effects: JointEffects,
-        first: Numbers,
-        last: Numbers,
-        late: int,
+        self, effects: JointEffects, first: Numbers, last: Numbers, late: int
     ) -> float:
         """Step through the substeps, each under the torques of the effects; return the
         least |sin delta| met.

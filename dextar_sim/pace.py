@@ -8,11 +8,6 @@ away for longer than ``MOST_BEHIND`` loses that time.
 
 from __future__ import annotations
 
-import time
-from typing import Protocol
-
-from rclpy.executors import Executor
-
 # Share of the period below which two deadlines never come together, however late the
 # samples are.
 SHORTEST = 0.75
@@ -21,11 +16,8 @@ SHORTEST = 0.75
 PATIENT = 0.95
 # Share of the period by which a sample may miss its deadline and not move the next one.
 JITTER = 0.25
-# s by which a sample may be out before its deadline: no sleep is as short.
-EARLY = 2.0e-5
 # s after which timers and services are served where the loop does not sleep.
 SERVED_EACH = 0.01
-SERVED_AT_ONCE = 4  # of them
 MOST_BEHIND = 50_000_000  # ns up to which lateness is made up for
 
 
@@ -168,108 +160,3 @@ class Schedule:
             self._due, self.behind = now, 0
         self._due += self._period
         self._last = deadline if missed <= JITTER * self._period else now
-
-
-class PacedNode(Protocol):
-    """A node whose samples are paced: what ``cycle`` reads of it and asks it to do."""
-
-    schedule: Schedule
-    period_ns: int
-    paced: bool
-    lockstep: bool
-    answered: bool
-
-    @property
-    def paused(self) -> bool:
-        """Whether simulated time stands still."""
-
-    @property
-    def sample_ready(self) -> bool:
-        """Whether the next sample has been simulated."""
-
-    @property
-    def awaited(self) -> bool:
-        """Whether a command for the last sample may still come."""
-
-    def advance(self) -> None:
-        """Simulate the next sample."""
-
-    def publish(self) -> None:
-        """Publish the sample."""
-
-    def listen(self) -> None:
-        """Take the commands that have come."""
-
-    def wait(self, seconds: float) -> None:
-        """Wait for a command, s at most."""
-
-    def repeat_unanswered(self) -> None:
-        """Publish the sample again, whose command has not come."""
-
-
-def cycle(node: PacedNode, executor: Executor) -> None:
-    """Do one sample: take its command, simulate, and publish the state at its deadline;
-    or spend some of the waiting for that command.
-
-    The commands are looked for when they are needed, which spares a waking for each.
-    Without lockstep the physics go on when time presses; in lockstep only under the
-    command that answers the state, however late the sample becomes.
-    """
-    schedule = node.schedule
-    if not schedule.running:
-        schedule.start(time.monotonic_ns(), 0 if node.sample_ready else node.period_ns)
-    while not node.sample_ready:
-        if node.paused:
-            return
-        node.listen()
-        if (
-            node.paced
-            and (left := schedule.left_to_work(time.monotonic_ns(), node.awaited)) > 0.0
-        ):
-            _pass(node, executor, left)
-        elif node.answered or not node.lockstep:
-            begun = time.monotonic_ns()
-            node.advance()
-            schedule.worked(time.monotonic_ns() - begun)
-        else:
-            _await_command(node, executor)
-            return
-    if node.paced:
-        while (
-            left := schedule.left(time.monotonic_ns(), node.awaited)
-        ) > EARLY and not node.paused:
-            executor.spin_once(timeout_sec=left)
-    elif schedule.serve(time.monotonic_ns()):
-        _serve(executor)
-    if node.paused:
-        return
-    if node.paced:
-        schedule.met(time.monotonic_ns(), node.awaited)
-    node.publish()
-
-
-def _pass(node: PacedNode, executor: Executor, left: float) -> None:
-    """Spend some of the time until the work begins; a sample that makes lateness up
-    waits for its command, to begin with it.
-    """
-    soonest = node.schedule.left_to_work(time.monotonic_ns(), False)
-    if soonest > 0.0:
-        executor.spin_once(timeout_sec=soonest)
-    else:
-        node.wait(left)
-
-
-def _await_command(node: PacedNode, executor: Executor) -> None:
-    """Wait in lockstep for the command of a step."""
-    node.wait(SERVED_EACH)
-    if node.schedule.serve(time.monotonic_ns()):
-        _serve(executor)
-    node.listen()
-    if not node.answered:
-        node.repeat_unanswered()
-
-
-def _serve(executor: Executor) -> None:
-    """Serve timers and services, without waiting for any."""
-    for _ in range(SERVED_AT_ONCE):
-        executor.spin_once(timeout_sec=0.0)

@@ -476,11 +476,7 @@ class PlatformMotion:
         self._sines = (1.0, 1.0)
 
     def place(
-        self,
-        joints: Numbers,
-        joints_dot: Numbers,
-        x: Numbers,
-        x_dot: Numbers,
+        self, joints: Numbers, joints_dot: Numbers, x: Numbers, x_dot: Numbers
     ) -> None:
         """Begin at these joints, (4,), rad and rad/s, and this end effector, (2,), m
         and m/s.

@@ -235,10 +235,7 @@ class Rig:
         return state
 
     def reset_joints(
-        self,
-        q_a: Numbers,
-        assembly_mode: int,
-        x_dot: Numbers = (0.0, 0.0),
+        self, q_a: Numbers, assembly_mode: int, x_dot: Numbers = (0.0, 0.0)
     ) -> PlantState:
         """Put the active joints at q_a, (2,), rad, in the given assembly mode, at time
         0.

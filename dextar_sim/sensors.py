@@ -309,12 +309,11 @@ class CommandDelay(Generic[Item]):
         if periods < 0:
             raise ParameterError(f"command delay of {periods} periods; it must be >= 0")
         self.periods = periods
-        self._line: deque[Item | None] = deque()
         self.reset()
 
     def reset(self) -> None:
         """Empty the line."""
-        self._line = deque([None] * self.periods)
+        self._line: deque[Item | None] = deque([None] * self.periods)
 
     def shift(self, item: Item | None) -> Item | None:
         """Put in this period's item, take out the one of ``periods`` ago."""
