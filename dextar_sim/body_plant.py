@@ -19,13 +19,7 @@ from dextar_control.symbols.functions import Fast
 from dextar_control.symbols.types import Array, Numbers
 from dextar_sim import world
 from dextar_sim.effects import JointEffects
-from dextar_sim.state import (
-    Motor,
-    PlantState,
-    check_steps,
-    saturated,
-    state_layout,
-)
+from dextar_sim.state import Motor, PlantState, check_steps, saturated, state_layout
 from dextar_sim.tree import functions_of
 from dextar_sim.urdf import bodies_of
 
@@ -205,10 +199,7 @@ class BodyPlant:
         self._impulse = np.array(impulse, dtype=np.float64)
 
     def step(
-        self,
-        torque: Numbers,
-        earlier: Numbers | None = None,
-        late: int = 0,
+        self, torque: Numbers, earlier: Numbers | None = None, late: int = 0
     ) -> Array:
         """Advance one period under constant motor torques.
 
@@ -283,11 +274,7 @@ class BodyPlant:
             p.stepSimulation(client)
 
     def _step_under(
-        self,
-        effects: JointEffects,
-        first: Numbers,
-        last: Numbers,
-        late: int,
+        self, effects: JointEffects, first: Numbers, last: Numbers, late: int
     ) -> None:
         """Call PyBullet for each substep, under the torques of the effects at the
         joints.

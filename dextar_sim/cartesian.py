@@ -22,10 +22,9 @@ from dextar_sim.geometry import FiveBarPlacing, joints_dot_at, tip_of
 from dextar_sim.platform_motion import PlatformMotion
 from dextar_sim.state import PlantState, check_steps, leg_motors, saturated
 
+# |sin delta| of a leg outside the coordinates below which the motion is not followed:
+# both legs stretched or folded.
 _LEAST_SINE = 0.01
-"""|sin delta| of a leg outside the coordinates below which the motion is not followed:
-both legs stretched or folded.
-"""
 
 
 class CartesianPlant(FiveBarPlacing):
@@ -106,10 +105,7 @@ class CartesianPlant(FiveBarPlacing):
         )
 
     def step(
-        self,
-        torque: Numbers,
-        earlier: Numbers | None = None,
-        late: int = 0,
+        self, torque: Numbers, earlier: Numbers | None = None, late: int = 0
     ) -> Array:
         """Advance one period under constant motor torques.
 
@@ -142,11 +138,7 @@ class CartesianPlant(FiveBarPlacing):
         return np.array(net) if self._effects is None else self._effects.motor_torque
 
     def _step_each(
-        self,
-        effects: JointEffects,
-        first: Numbers,
-        last: Numbers,
-        late: int,
+        self, effects: JointEffects, first: Numbers, last: Numbers, late: int
     ) -> float:
         """Step through the substeps, each under the torques of the effects; return the
         least |sin delta| met.

@@ -6,15 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+# ns for which one publisher alone must have spoken until the others count as silent.
 SPEAKING = 200_000_000
-"""ns for which one publisher alone must have spoken until the others count as silent.
-"""
+# Numbers by which a message may be ahead of the states published since the one before
+# it.
 SLACK = 8
-"""Numbers by which a message may be ahead of the states published since the one before
-it.
-"""
-UNNUMBERED = (0, 2**64 - 1)
-"""What a middleware gives that does not count messages."""
+UNNUMBERED = (0, 2**64 - 1)  # what a middleware gives that does not count messages
 
 
 class CommanderArbiter:

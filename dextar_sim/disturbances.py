@@ -5,11 +5,15 @@ push.
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.symbols.types import Numbers
 from dextar_sim.sensors import check_nonnegative
-from dextar_sim.state import AnyPlant
+
+if TYPE_CHECKING:
+    from dextar_sim.cartesian import CartesianPlant
+    from dextar_sim.plant import Plant
 
 
 class Disturbances:
@@ -50,13 +54,13 @@ class Disturbances:
         self._end = push_time + (push_duration if any(push) else 0.0)
         self._carried = 0.0
 
-    def reset(self, plant: AnyPlant) -> None:
+    def reset(self, plant: Plant | CartesianPlant) -> None:
         """Take the payload off again."""
         if self._carried:
             plant.take_up(-self._carried)
         self._carried = 0.0
 
-    def before(self, time: float, plant: AnyPlant) -> None:
+    def before(self, time: float, plant: Plant | CartesianPlant) -> None:
         """Apply what begins or goes on in the period after ``time``, s."""
         if self._payload > self._carried and time >= self._from - 0.5 * plant.period:
             plant.take_up(self._payload)

@@ -33,11 +33,11 @@ from dextar_sim.state import Motor, check_steps, proximal_inertia
 
 FRICTIONS = "stick", "smooth"
 ENCODERS = "motor", "link"
+# N m/rad of the teeth where there is backlash and no other compliance is told.
 GEAR_STIFFNESS = 1000.0
-"""N m/rad of the teeth where there is backlash and no other compliance is told."""
 GEAR_DAMPING_RATIO = 0.1
+# Frequency of a transmission times the substep, up to which it is followed.
 FASTEST = 1.0
-"""Frequency of a transmission times the substep, up to which it is followed."""
 
 
 @dataclass(frozen=True)

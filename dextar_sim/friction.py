@@ -16,19 +16,17 @@ import casadi as ca
 
 from dextar_control.symbols.types import Symbol
 
+# Of a place: N m s/rad, N m, both of the bristle in N m/rad and N m s/rad (0: it is
+# smooth), rad/s of the smooth law.
 ELEMENTS = "viscous", "coulomb", "stiffness", "damping", "speed"
-"""Of a place: N m s/rad, N m, both of the bristle in N m/rad and N m s/rad (0: it is
-smooth), rad/s of the smooth law.
-"""
 QUICKNESS = 0.7
+# Frequency of a bristle with the least inertia that moves there, times the substep, and
+# its damping ratio.
+#
+# A step that is explicit in the damping is sound while (frequency x substep)^2 + 4
+# damping ratio x frequency x substep < 4. Each body's inertia counts for two bristles
+# at most, so that both terms double: 0.98 + 2.8.
 DAMPING_RATIO = 0.5
-"""Frequency of a bristle with the least inertia that moves there, times the substep,
-and its damping ratio.
-
-A step that is explicit in the damping is sound while (frequency x substep)^2 + 4
-damping ratio x frequency x substep < 4. Each body's inertia counts for two bristles at
-most, so that both terms double: 0.98 + 2.8.
-"""
 
 
 def bristle_of(inertia: float, h: float) -> tuple[float, float]:

@@ -15,7 +15,6 @@ from dextar_control.symbols.types import Numbers
 from dextar_sim.state import PlantState
 
 Point = tuple[float, float]
-_SIDES = ("left", "right")
 _LEAST_SINE = 1.0e-9
 
 
@@ -77,7 +76,7 @@ def joints_at(robot: RobotParameters, x: Numbers) -> list[float]:
         raise GeometryError(f"end effector position {tuple(x)} m is not finite")
     joints: list[float] = []
     for side, leg, base, mode in zip(
-        _SIDES, robot.legs, bases(robot), robot.working_mode, strict=True
+        robot.sides, robot.legs, bases(robot), robot.working_mode, strict=True
     ):
         point = _intersection(
             base, (x[0], x[1]), leg.proximal_length, leg.distal_length, mode
@@ -152,7 +151,7 @@ def joints_dot_at(
         return [0.0] * 4
     rates: list[float] = []
     for side, leg, q, passive in zip(
-        _SIDES, robot.legs, joints[::2], joints[1::2], strict=True
+        robot.sides, robot.legs, joints[::2], joints[1::2], strict=True
     ):
         sine = math.sin(passive)
         if abs(sine) < _LEAST_SINE:
@@ -209,10 +208,7 @@ class FiveBarPlacing:
         return self._begin_at(joints_at(self.robot, x), x_dot)
 
     def reset_joints(
-        self,
-        q_a: Numbers,
-        assembly_mode: int,
-        x_dot: Numbers = (0.0, 0.0),
+        self, q_a: Numbers, assembly_mode: int, x_dot: Numbers = (0.0, 0.0)
     ) -> PlantState:
         """Put the active joints at q_a in the given assembly mode, at time 0.
 

@@ -49,7 +49,7 @@ from dextar_control.nodekit.scheduling import ask_kernel, precise_timers
 from dextar_control.symbols.types import Array
 from dextar_sim.commanders import SPEAKING, CommanderArbiter
 from dextar_sim.messages import CommandReader, StateWriter, read_efforts
-from dextar_sim.pace import Schedule, cycle, keeping_pace
+from dextar_sim.pace import SERVED_EACH, Schedule, keeping_pace
 from dextar_sim.sensors import (
     Acknowledgement,
     CommandDelay,
@@ -60,14 +60,14 @@ from dextar_sim.sensors import (
     TorqueCommand,
 )
 
-REPEAT_AFTER = 0.5
-"""s without an answer after which lockstep publishes a state again."""
+REPEAT_AFTER = 0.5  # s without an answer after which lockstep publishes a state again
 
 
-COMMANDER_PERIOD = 0.1
-"""s between two looks at who publishes commands."""
-IDLE_WAIT = 0.05
-"""s for which a paused plant waits for a service call at a time."""
+COMMANDER_PERIOD = 0.1  # s between two looks at who publishes commands
+IDLE_WAIT = 0.05  # s for which a paused plant waits for a service call at a time
+# s by which a sample may be out before its deadline: no sleep is as short.
+EARLY = 2.0e-5
+SERVED_AT_ONCE = 4  # timers and services, where the loop does not sleep
 
 
 class Reported(NamedTuple):
@@ -602,6 +602,73 @@ class PlantNode(DextarNode):
                 " real time"
             )
         self.plant.close()
+
+
+def cycle(node: PlantNode, executor: Executor) -> None:
+    """Do one sample: take its command, simulate, and publish the state at its deadline;
+    or spend some of the waiting for that command.
+
+    The commands are looked for when they are needed, which spares a waking for each.
+    Without lockstep the physics go on when time presses; in lockstep only under the
+    command that answers the state, however late the sample becomes.
+    """
+    schedule = node.schedule
+    if not schedule.running:
+        schedule.start(time.monotonic_ns(), 0 if node.sample_ready else node.period_ns)
+    while not node.sample_ready:
+        if node.paused:
+            return
+        node.listen()
+        if (
+            node.paced
+            and (left := schedule.left_to_work(time.monotonic_ns(), node.awaited)) > 0.0
+        ):
+            _pass(node, executor, left)
+        elif node.answered or not node.lockstep:
+            begun = time.monotonic_ns()
+            node.advance()
+            schedule.worked(time.monotonic_ns() - begun)
+        else:
+            _await_command(node, executor)
+            return
+    if node.paced:
+        while (
+            left := schedule.left(time.monotonic_ns(), node.awaited)
+        ) > EARLY and not node.paused:
+            executor.spin_once(timeout_sec=left)
+    elif schedule.serve(time.monotonic_ns()):
+        _serve(executor)
+    if node.paused:
+        return
+    if node.paced:
+        schedule.met(time.monotonic_ns(), node.awaited)
+    node.publish()
+
+
+def _pass(node: PlantNode, executor: Executor, left: float) -> None:
+    """Spend some of the time until the work begins; a sample that makes lateness up
+    waits for its command, to begin with it.
+    """
+    soonest = node.schedule.left_to_work(time.monotonic_ns(), False)
+    if soonest > 0.0:
+        executor.spin_once(timeout_sec=soonest)
+    else:
+        node.wait(left)
+
+
+def _await_command(node: PlantNode, executor: Executor) -> None:
+    """Wait in lockstep for the command of a step."""
+    node.wait(SERVED_EACH)
+    if node.schedule.serve(time.monotonic_ns()):
+        _serve(executor)
+    node.listen()
+    if not node.answered:
+        node.repeat_unanswered()
+
+
+def _serve(executor: Executor) -> None:
+    for _ in range(SERVED_AT_ONCE):
+        executor.spin_once(timeout_sec=0.0)
 
 
 def spin(node: PlantNode, executor: Executor, stop: StopSignal) -> None:

@@ -8,43 +8,26 @@ away for longer than ``MOST_BEHIND`` loses that time.
 
 from __future__ import annotations
 
-import time
-from typing import Protocol
-
-from rclpy.executors import Executor
-
+# Share of the period below which two deadlines never come together, however late the
+# samples are.
 SHORTEST = 0.75
-"""Share of the period below which two deadlines never come together, however late the
-samples are.
-"""
+# The same while the command for the last sample is awaited: making up must not make
+# commands late.
 PATIENT = 0.95
-"""The same while the command for the last sample is awaited: making up must not make
-commands late.
-"""
+# Share of the period by which a sample may miss its deadline and not move the next one.
 JITTER = 0.25
-"""Share of the period by which a sample may miss its deadline and not move the next
-one.
-"""
-EARLY = 2.0e-5
-"""s by which a sample may be out before its deadline: no sleep is as short."""
+# s after which timers and services are served where the loop does not sleep.
 SERVED_EACH = 0.01
-"""s after which timers and services are served where the loop does not sleep."""
-SERVED_AT_ONCE = 4
-"""Of them."""
-MOST_BEHIND = 50_000_000
-"""ns up to which lateness is made up for."""
+MOST_BEHIND = 50_000_000  # ns up to which lateness is made up for
 
 
+# Real-time factor below which a real-time plant is too slow: the rate that its states
+# then miss is warned of there too.
 LEAST_FACTOR = 0.95
-"""Real-time factor below which a real-time plant is too slow: the rate that its states
-then miss is warned of there too.
-"""
+# Share of the steps without their command in time, above which that is told: a held
+# command is an older one.
 MOST_LATE = 0.1
-"""Share of the steps without their command in time, above which that is told: a held
-command is an older one.
-"""
-JUDGED = 500_000_000
-"""ns of running from which on they are judged."""
+JUDGED = 500_000_000  # ns of running from which on they are judged
 
 
 def keeping_pace(steps: int, late: int, ran: int, period: int) -> list[str]:
@@ -177,108 +160,3 @@ class Schedule:
             self._due, self.behind = now, 0
         self._due += self._period
         self._last = deadline if missed <= JITTER * self._period else now
-
-
-class PacedNode(Protocol):
-    """A node whose samples are paced: what ``cycle`` reads of it and asks it to do."""
-
-    schedule: Schedule
-    period_ns: int
-    paced: bool
-    lockstep: bool
-    answered: bool
-
-    @property
-    def paused(self) -> bool:
-        """Whether simulated time stands still."""
-
-    @property
-    def sample_ready(self) -> bool:
-        """Whether the next sample has been simulated."""
-
-    @property
-    def awaited(self) -> bool:
-        """Whether a command for the last sample may still come."""
-
-    def advance(self) -> None:
-        """Simulate the next sample."""
-
-    def publish(self) -> None:
-        """Publish the sample."""
-
-    def listen(self) -> None:
-        """Take the commands that have come."""
-
-    def wait(self, seconds: float) -> None:
-        """Wait for a command, s at most."""
-
-    def repeat_unanswered(self) -> None:
-        """Publish the sample again, whose command has not come."""
-
-
-def cycle(node: PacedNode, executor: Executor) -> None:
-    """Do one sample: take its command, simulate, and publish the state at its deadline;
-    or spend some of the waiting for that command.
-
-    The commands are looked for when they are needed, which spares a waking for each.
-    Without lockstep the physics go on when time presses; in lockstep only under the
-    command that answers the state, however late the sample becomes.
-    """
-    schedule = node.schedule
-    if not schedule.running:
-        schedule.start(time.monotonic_ns(), 0 if node.sample_ready else node.period_ns)
-    while not node.sample_ready:
-        if node.paused:
-            return
-        node.listen()
-        if (
-            node.paced
-            and (left := schedule.left_to_work(time.monotonic_ns(), node.awaited)) > 0.0
-        ):
-            _pass(node, executor, left)
-        elif node.answered or not node.lockstep:
-            begun = time.monotonic_ns()
-            node.advance()
-            schedule.worked(time.monotonic_ns() - begun)
-        else:
-            _await_command(node, executor)
-            return
-    if node.paced:
-        while (
-            left := schedule.left(time.monotonic_ns(), node.awaited)
-        ) > EARLY and not node.paused:
-            executor.spin_once(timeout_sec=left)
-    elif schedule.serve(time.monotonic_ns()):
-        _serve(executor)
-    if node.paused:
-        return
-    if node.paced:
-        schedule.met(time.monotonic_ns(), node.awaited)
-    node.publish()
-
-
-def _pass(node: PacedNode, executor: Executor, left: float) -> None:
-    """Spend some of the time until the work begins; a sample that makes lateness up
-    waits for its command, to begin with it.
-    """
-    soonest = node.schedule.left_to_work(time.monotonic_ns(), False)
-    if soonest > 0.0:
-        executor.spin_once(timeout_sec=soonest)
-    else:
-        node.wait(left)
-
-
-def _await_command(node: PacedNode, executor: Executor) -> None:
-    """Wait in lockstep for the command of a step."""
-    node.wait(SERVED_EACH)
-    if node.schedule.serve(time.monotonic_ns()):
-        _serve(executor)
-    node.listen()
-    if not node.answered:
-        node.repeat_unanswered()
-
-
-def _serve(executor: Executor) -> None:
-    """Serve timers and services, without waiting for any."""
-    for _ in range(SERVED_AT_ONCE):
-        executor.spin_once(timeout_sec=0.0)

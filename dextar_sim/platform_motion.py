@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 import struct
-from functools import lru_cache
+from functools import lru_cache, reduce
 
 import casadi as ca
 import numpy as np
@@ -34,12 +34,10 @@ from dextar_control.symbols.record import Field, Layout
 from dextar_control.symbols.types import Array, Numbers, Symbol
 from dextar_sim.state import state_layout
 
+# |sin delta| below which a leg's own angles are the coordinates; at 100 rad/s it turns
+# by half of that in 1 ms.
 _OWN_SINE = 0.2
-"""|sin delta| below which a leg's own angles are the coordinates; at 100 rad/s it turns
-by half of that in 1 ms.
-"""
-PLATFORM = -1
-"""No leg's angles: the end effector's position is the coordinates."""
+PLATFORM = -1  # no leg's angles: the end effector's position is the coordinates
 CHARTS = {PLATFORM: "platform", 0: "left", 1: "right"}
 LEG_NUMBERS = 12
 STATE = state_layout(2, 4)
@@ -65,7 +63,7 @@ Term = Symbol  # or a number, which CasADi takes in its place
 Terms = list[Term]
 
 
-def _lesser(value: Term, least: Term) -> Term:
+def _lesser(least: Term, value: Term) -> Term:
     """Return the lesser of both, and nan where the value is nan."""
     return ca.if_else(value >= least, least, value)
 
@@ -107,16 +105,14 @@ def _acceleration(
     """
     mass, gx, gy, coulomb_speed = shared
     one, zero = ca.SX(1.0), ca.SX(0.0)
-    x, y = z
-    vx, vy = z_dot
+    (x, y), (vx, vy) = z, z_dot
     g_xx, g_xy, g_yx, g_yy, c_x, c_y = one, zero, zero, one, zero, zero
+    own: Terms = []
     if chart != PLATFORM:
         l1, l2 = legs[chart][2], legs[chart][6]
         w1, w2 = z_dot
-        cos_1 = ca.cos(z[0])
-        sin_1 = ca.sin(z[0])
-        cos_2 = ca.cos(z[1])
-        sin_2 = ca.sin(z[1])
+        own = [function(angle) for angle in z for function in (ca.cos, ca.sin)]
+        cos_1, sin_1, cos_2, sin_2 = own
         x = legs[chart][0] + l1 * cos_1 + l2 * cos_2
         y = legs[chart][1] + l1 * sin_1 + l2 * sin_2
         g_xx, g_xy, g_yx, g_yy = -l1 * sin_1, -l2 * sin_2, l1 * cos_1, l2 * cos_2
@@ -132,10 +128,7 @@ def _acceleration(
     for i in range(2):
         *base, l1, m1, c1, i1, l2, m2, c2, i2, viscous, coulomb = legs[i]
         if i == chart:
-            cos_1 = ca.cos(z[0])
-            sin_1 = ca.sin(z[0])
-            cos_2 = ca.cos(z[1])
-            sin_2 = ca.sin(z[1])
+            cos_1, sin_1, cos_2, sin_2 = own
             j11, j12, j21, j22 = one, zero, zero, one
             w1, w2 = z_dot
             inward_1, inward_2 = w1 * w1, w2 * w2
@@ -143,7 +136,7 @@ def _acceleration(
         else:
             cos_1, sin_1, cos_2, sin_2 = _elbow(x, y, base, l1, l2, sides[i])
             cos_d, sin_d = cos_1 * cos_2 + sin_1 * sin_2, cos_1 * sin_2 - sin_1 * cos_2
-            least = _lesser(ca.fabs(sin_d), least)
+            least = _lesser(least, ca.fabs(sin_d))
             j1x, j1y = cos_2 / (l1 * sin_d), sin_2 / (l1 * sin_d)
             j2x, j2y = -cos_1 / (l2 * sin_d), -sin_1 / (l2 * sin_d)
             w1, w2 = j1x * vx + j1y * vy, j2x * vx + j2y * vy
@@ -233,9 +226,7 @@ def _substep(
     a4, sine_4 = rate(moved(z, v3, h), v4)
     mean_v = [(z_dot[i] + 2.0 * (v2[i] + v3[i]) + v4[i]) / 6.0 for i in range(2)]
     mean_a = [(a1[i] + 2.0 * (a2[i] + a3[i]) + a4[i]) / 6.0 for i in range(2)]
-    least = ca.SX(1.0)
-    for sine in (sine_1, sine_2, sine_3, sine_4):
-        least = _lesser(sine, least)
+    least = reduce(_lesser, (sine_1, sine_2, sine_3, sine_4), ca.SX(1.0))
     return moved(z, mean_v, h), moved(z_dot, mean_a, h), least
 
 
@@ -245,8 +236,7 @@ def _placed(
     """Return the platform (x, y, x_dot, y_dot), the joints beside the turns they had,
     their rates, and the least |sin delta|.
     """
-    (a, b), (a_dot, b_dot) = z, z_dot
-    x, y, vx, vy = a, b, a_dot, b_dot
+    (a, b), (a_dot, b_dot) = (x, y), (vx, vy) = z, z_dot
     if chart != PLATFORM:
         base_x, base_y, l1, *_, l2 = legs[chart][:7]
         x = base_x + l1 * ca.cos(a) + l2 * ca.cos(b)
@@ -263,7 +253,7 @@ def _placed(
         l2 = legs[i][6]
         cos_1, sin_1, cos_2, sin_2 = _elbow(x, y, base, l1, l2, sides[i])
         cos_d, sin_d = cos_1 * cos_2 + sin_1 * sin_2, cos_1 * sin_2 - sin_1 * cos_2
-        least = _lesser(ca.fabs(sin_d), least)
+        least = _lesser(least, ca.fabs(sin_d))
         for old, angle in (
             (joints[2 * i], ca.atan2(sin_1, cos_1)),
             (joints[2 * i + 1], ca.atan2(sin_d, cos_d)),
@@ -295,13 +285,8 @@ def motion(substeps: int, torques: int) -> Library:
     h = ca.SX.sym("h")
     robot, shared = ca.SX.sym("legs", 2 * LEG_NUMBERS), ca.SX.sym("shared", 4)
     vectors = (z, z_dot, sides, motors, push, now["joints"], shared)
-    parts: list[Terms] = [
-        [vector[i] for i in range(vector.numel())] for vector in vectors
-    ]
-    legs = [
-        [robot[LEG_NUMBERS * leg + k] for k in range(LEG_NUMBERS)] for leg in range(2)
-    ]
-    pz, pz_dot, psides, pmotors, ppush, pjoints, pshared = parts
+    pz, pz_dot, psides, pmotors, ppush, pjoints, pshared = map(ca.vertsplit, vectors)
+    legs = [*map(ca.vertsplit, ca.vertsplit(robot, LEG_NUMBERS))]
     state = {"z": z, "z_dot": z_dot, "sides": sides}
     acting = {"motors": motors, "push": push, "legs": robot, "shared": shared}
     functions = []
@@ -336,7 +321,7 @@ def motion(substeps: int, torques: int) -> Library:
         }
         met = ca.SX.sym("met", 1, substeps)
         for k in range(substeps):
-            least = _lesser(least, met[k])
+            least = _lesser(met[k], least)
         place = named(
             f"place_{name}",
             {
@@ -491,11 +476,7 @@ class PlatformMotion:
         self._sines = (1.0, 1.0)
 
     def place(
-        self,
-        joints: Numbers,
-        joints_dot: Numbers,
-        x: Numbers,
-        x_dot: Numbers,
+        self, joints: Numbers, joints_dot: Numbers, x: Numbers, x_dot: Numbers
     ) -> None:
         """Begin at these joints, (4,), rad and rad/s, and this end effector, (2,), m
         and m/s.

@@ -10,7 +10,6 @@ from __future__ import annotations
 import random
 from collections.abc import Sequence
 from dataclasses import fields
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +30,7 @@ from dextar_sim.sensors import (
     TorqueCommand,
     check_probability,
 )
-from dextar_sim.state import AnyPlant, PlantState
+from dextar_sim.state import PlantState
 
 PLANTS: dict[str, type[Plant] | type[CartesianPlant]] = {
     "pybullet": Plant,
@@ -144,7 +143,7 @@ class Rig:
         unknown = sorted(set(effects) - {field.name for field in fields(Effects)})
         if unknown:
             raise ParameterError(f"unknown option '{unknown[0]}' of a rig")
-        self.plant: AnyPlant = PLANTS[plant](
+        self.plant: Plant | CartesianPlant = PLANTS[plant](
             robot,
             period=period,
             substeps=substeps,
@@ -155,28 +154,29 @@ class Rig:
         self._period_ns = round(_NANOSECONDS * period)
         self._loss, self._jitter = sample_loss, jitter * substeps
         seeds = [int(word) for word in np.random.SeedSequence(seed).generate_state(5)]
-        self._seeds = seeds
-        self._new_encoder = partial(
-            Encoder,
-            period,
-            resolution=encoder_resolution,
-            position_noise=position_noise,
-            offset=robot.encoder_offset,
-            homing_error=homing_error,
-            eccentricity=eccentricity,
-            seed=seeds[0],
+        self._new_chance = lambda: (
+            Encoder(
+                period,
+                resolution=encoder_resolution,
+                position_noise=position_noise,
+                offset=robot.encoder_offset,
+                homing_error=homing_error,
+                eccentricity=eccentricity,
+                seed=seeds[0],
+            ),
+            PoseSensor(
+                period,
+                rate=pose_rate,
+                delay=pose_delay,
+                noise=pose_noise,
+                dropout=pose_dropout,
+                outages=pose_outages,
+                seed=seeds[1],
+            ),
+            StampError(stamp_error, period, seeds[4]),
+            random.Random(seeds[2]),
+            random.Random(seeds[3]),
         )
-        self._new_camera = partial(
-            PoseSensor,
-            period,
-            rate=pose_rate,
-            delay=pose_delay,
-            noise=pose_noise,
-            dropout=pose_dropout,
-            outages=pose_outages,
-            seed=seeds[1],
-        )
-        self._new_stamps = partial(StampError, stamp_error, period, seeds[4])
         self._disturbances = Disturbances(payload=payload, payload_time=payload_time)
         self._delay: CommandDelay[TorqueCommand] = CommandDelay(
             round(command_delay / period)
@@ -188,13 +188,11 @@ class Rig:
 
     def _begin(self) -> None:
         """Renew what stands between plant and controller, and take the first sample."""
-        self._encoder = self._new_encoder()
-        self._camera = self._new_camera()
-        self._stamps = self._new_stamps()
+        self._encoder, self._camera, self._stamps, self._losses, self._lateness = (
+            self._new_chance()
+        )
         self._delay.reset()
         self._hold = CommandHold(self._timeout, self.plant.max_torque)
-        self._losses = random.Random(self._seeds[2])
-        self._lateness = random.Random(self._seeds[3])
         self._newest: TorqueCommand | None = None
         self._applied = (0.0, 0.0)
         self._index = 0
@@ -237,10 +235,7 @@ class Rig:
         return state
 
     def reset_joints(
-        self,
-        q_a: Numbers,
-        assembly_mode: int,
-        x_dot: Numbers = (0.0, 0.0),
+        self, q_a: Numbers, assembly_mode: int, x_dot: Numbers = (0.0, 0.0)
     ) -> PlantState:
         """Put the active joints at q_a, (2,), rad, in the given assembly mode, at time
         0.

@@ -19,8 +19,7 @@ from dextar_control.symbols.types import Array, Numbers
 Item = TypeVar("Item")
 
 
-_ROUNDING = 1.0e-9
-"""Share of a sample that a time may be off and still fall on it."""
+_ROUNDING = 1.0e-9  # share of a sample that a time may be off and still fall on it
 
 
 def check_nonnegative(what: str = "", **values: float) -> None:
@@ -310,12 +309,11 @@ class CommandDelay(Generic[Item]):
         if periods < 0:
             raise ParameterError(f"command delay of {periods} periods; it must be >= 0")
         self.periods = periods
-        self._line: deque[Item | None] = deque()
         self.reset()
 
     def reset(self) -> None:
         """Empty the line."""
-        self._line = deque([None] * self.periods)
+        self._line: deque[Item | None] = deque([None] * self.periods)
 
     def shift(self, item: Item | None) -> Item | None:
         """Put in this period's item, take out the one of ``periods`` ago."""

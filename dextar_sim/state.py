@@ -1,27 +1,24 @@
-"""The state of a plant, what all plants offer, and what is checked before one is
-built.
-"""
+"""The state of a plant, and what is checked before one is built."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from dextar_control.contract.errors import ParameterError, StateError
 from dextar_control.contract.robot import LegParameters, RobotParameters
 from dextar_control.symbols.record import Field, Layout, Record
-from dextar_control.symbols.types import Array, Numbers
+from dextar_control.symbols.types import Numbers
 
+# Share of a joint's speed that friction may take away in one substep; beyond 2 it would
+# swing up.
 _FRICTION_STABILITY = 1.0
-"""Share of a joint's speed that friction may take away in one substep; beyond 2 it
-would swing up.
-"""
 
 
+# True state of a plant, of its ``state_layout``, in numbers of its own.
 PlantState = Record
-"""True state of a plant, of its ``state_layout``, in numbers of its own."""
 
 
 @lru_cache
@@ -47,57 +44,6 @@ def state_layout(n: int, m: int) -> Layout:
             ),
         ),
     )
-
-
-class AnyPlant(Protocol):
-    """What all plants offer."""
-
-    robot: RobotParameters
-    period: float
-    substeps: int
-    max_torque: float
-
-    def reset(self, x: Numbers, x_dot: Numbers = (0.0, 0.0)) -> PlantState:
-        """Put the end effector at x, (2,), m, with velocity x_dot, (2,), m/s, in the
-        robot's working mode, at time 0.
-        """
-
-    def reset_joints(
-        self,
-        q_a: Numbers,
-        assembly_mode: int,
-        x_dot: Numbers = (0.0, 0.0),
-    ) -> PlantState:
-        """Put the active joints at q_a, (2,), rad, in the given assembly mode, at time
-        0.
-        """
-
-    def step(
-        self,
-        torque: Numbers,
-        earlier: Numbers | None = None,
-        late: int = 0,
-    ) -> Array:
-        """Advance one period under torques, (2,), N m; they act after ``late`` substeps
-        under the earlier ones. Return the motor torques at its end, (2,), N m.
-        """
-
-    def take_up(self, mass: float) -> None:
-        """Load the end effector with a mass, kg, that moves with it."""
-
-    def encoder_angles(self) -> list[float]:
-        """Return the angles of the encoders' discs, (2,), rad."""
-
-    def apply_impulse(self, impulse: Numbers) -> None:
-        """Strike the end effector with an impulse, (2,), N s, during the next step's
-        first substep.
-        """
-
-    def state(self) -> PlantState:
-        """Return the true state now."""
-
-    def close(self) -> None:
-        """Let go of what the plant holds."""
 
 
 class Motor(NamedTuple):

@@ -15,8 +15,7 @@ from dextar_control.symbols.functions import named
 from dextar_control.symbols.types import Symbol
 from dextar_sim.state import state_layout
 
-Frame = tuple[Symbol, Symbol]
-"""Origin (2,), m, and angle, rad."""
+Frame = tuple[Symbol, Symbol]  # origin (2,), m, and angle, rad
 
 
 def placed(frame: Frame, place: Symbol) -> Symbol:

@@ -14,10 +14,9 @@ from dextar_control.mechanisms.bodies import GROUND, Bodies
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.symbols.types import Symbol
 
+# kg on a link described as massless: the solver needs a body, and this one weighs
+# nothing beside 0.1 kg.
 MASS_FLOOR = 1.0e-7
-"""kg on a link described as massless: the solver needs a body, and this one weighs
-nothing beside 0.1 kg.
-"""
 
 _THICKNESS = 0.008
 

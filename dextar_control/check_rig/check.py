@@ -19,6 +19,7 @@ from dextar_control.check_rig.stream import judge_graph, judge_stream, judge_vel
 from dextar_control.check_rig.torque import TorqueTests
 from dextar_control.contract.robot import RobotParameters
 
+# Lines that must hold, as far as the controller needs them, before a torque is sent.
 NEEDED_FOR_TORQUE = (
     "topics",
     "types",
@@ -31,8 +32,6 @@ NEEDED_FOR_TORQUE = (
     "stamp period",
     "closes",
 )
-"""Lines that must hold, as far as the controller needs them, before a torque is sent.
-"""
 
 
 def watch_lines(

@@ -181,9 +181,14 @@ class RigClient(Node):
         )
 
     @property
+    def offers(self) -> bool:
+        """Whether this node counts as the commander."""
+        return self._commands is not None
+
+    @property
     def others(self) -> int:
         """How many publishers of commands there are beside this node."""
-        return self.count_publishers(self._commands_name) - (self._commands is not None)
+        return self.count_publishers(self._commands_name) - self.offers
 
     @property
     def drivers(self) -> int:
@@ -382,9 +387,8 @@ def _torque(
     """Run the tests with torque; return the line that another commander or another
     driver earns, or None.
     """
-    if node.others:
-        tests.stop("another commander came")
-        return _second(node)
+    if (rival := _rival(node, tests)) is not None:
+        return rival
     node.open()
     deadline = time.monotonic() + DISCOVERY
     while not node.heard and time.monotonic() < deadline:
@@ -408,14 +412,8 @@ def _torque(
             if now - looked > GRAPH_PERIOD:
                 looked = now
                 working.now(f"torque: {tests.stage}")
-                if node.others:
-                    node.command(NO_TORQUE)
-                    tests.stop("another commander came")
-                    return _second(node)
-                if node.drivers > 1:
-                    node.command(NO_TORQUE)
-                    tests.stop("another publisher of joint states came")
-                    return _second_driver(node)
+                if (rival := _rival(node, tests)) is not None:
+                    return rival
             _answer(node, tests)
     node.release()
     return None
@@ -435,24 +433,26 @@ def _answer(node: RigClient, tests: TorqueTests) -> None:
         time.sleep(POLL)
 
 
-def _second(node: RigClient) -> CheckLine:
-    names = ", ".join(end.node for end in _settled(node, 0.0).commanders) or "unknown"
-    return failed(
-        "only commander",
-        f"{node.others} other while torque was to be sent ({names})",
-        "0",
+def _rival(node: RigClient, tests: TorqueTests) -> CheckLine | None:
+    """Stop the tests where there is another commander, or under torque another driver;
+    return the line that it earns.
+    """
+    if not node.others and not (node.offers and node.drivers > 1):
+        return None
+    commanded = bool(node.others)
+    if node.offers:
+        node.command(NO_TORQUE)
+    tests.stop(
+        f"another {'commander' if commanded else 'publisher of joint states'} came"
     )
-
-
-def _second_driver(node: RigClient) -> CheckLine:
-    names = (
-        ", ".join(sorted(end.node for end in _settled(node, 0.0).drivers)) or "unknown"
-    )
-    return failed(
-        "topics",
-        f"{node.drivers} publishers of states while torque was sent ({names})",
-        "1 publisher",
-    )
+    graph = _settled(node, 0.0)
+    ends = graph.commanders if commanded else graph.drivers
+    names = ", ".join(sorted(end.node for end in ends)) or "unknown"
+    if commanded:
+        text = f"{node.others} other while torque was to be sent ({names})"
+        return failed("only commander", text, "0")
+    text = f"{node.drivers} publishers of states while torque was sent ({names})"
+    return failed("topics", text, "1 publisher")
 
 
 STYLES = {

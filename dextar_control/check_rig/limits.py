@@ -92,8 +92,8 @@ class Limits:
         return self.watchdog + self.watchdog_margin + 2.0 * self.period
 
 
+# Limits that are the controller's own parameters, and in their ranges.
 FREE = ("healthy_time", "joint_margin", "assembly_mode")
-"""Limits that are the controller's own parameters, and in their ranges."""
 # States in one pulse at the expected rate, so that a response can be judged.
 MIN_SAMPLES = 20
 # States of a whole doublet that must have come.

@@ -36,6 +36,7 @@ class CheckLine:
     numbers: dict[str, float] = field(default_factory=dict)
 
 
+# Every line of a report, in this order, and what it asks for.
 LINES = {
     "topics": "states have one publisher, commands a subscriber",
     "types": "of both topics",
@@ -74,10 +75,9 @@ LINES = {
     "watchdog": "commands stop, the torque goes within the declared time",
     "refuses NaN": "a NaN command changes nothing, and the driver goes on",
 }
-"""Every line of a report, in this order, and what it asks for."""
 
+# The lines that need torque on the robot.
 TORQUE_LINES = ("response q11", "response q21", "watchdog", "refuses NaN")
-"""The lines that need torque on the robot."""
 
 
 def passed(name: str, measured: str, limit: str = "", **numbers: float) -> CheckLine:

@@ -140,29 +140,15 @@ def watchdog_line(trial: TorqueTrial, limits: Limits) -> CheckLine:
     off = [sample for sample in kept if not on or sample.arrival > on[-1].arrival]
     if off and not trial.trouble:
         after = NANOSECOND * (off[0].arrival - trial.sent)
-        return judged(
-            after <= limits.watchdog_limit,
-            "watchdog",
-            f"gone {1e3 * after:.1f} ms after the last command",
-            limit,
-            time=after,
-            gone=1.0,
-        )
+        text = f"gone {1e3 * after:.1f} ms after the last command"
+        ok = after <= limits.watchdog_limit
+        return judged(ok, "watchdog", text, limit, time=after, gone=1.0)
     seen = NANOSECOND * (kept[-1].arrival - trial.sent) if kept else 0.0
-    text = (
-        f"still {_largest(efforts):.4f} N m {1e3 * seen:.0f} ms after the last command"
-    )
-    return failed(
-        "watchdog",
-        f"{text}; {trial.trouble}" if trial.trouble else text,
-        limit,
-        time=seen,
-        gone=0.0,
-    )
-
-
-def _largest(efforts: Array) -> float:
-    return float(np.abs(efforts[-1]).max()) if len(efforts) else 0.0
+    left = np.abs(efforts[-1:]).max(initial=0.0)
+    text = f"still {left:.4f} N m {1e3 * seen:.0f} ms after the last command"
+    if trial.trouble:
+        text += f"; {trial.trouble}"
+    return failed("watchdog", text, limit, time=seen, gone=0.0)
 
 
 def nan_line(trial: TorqueTrial, limits: Limits, *, responds: bool) -> CheckLine:
@@ -186,32 +172,16 @@ def nan_line(trial: TorqueTrial, limits: Limits, *, responds: bool) -> CheckLine
         f"effort at most {worst:.4f} N m" if "effort" in told else "no effort is told"
     )
     text = f"under NaN: {effort}, {odd} of {len(under)} states not finite"
+    ok = False
     if trial.trouble:
-        return failed(
-            "refuses NaN", f"{text}; {trial.trouble}", wanted, effort=worst, odd=odd
-        )
-    if odd or worst > tolerance or len(under) < FEW:
-        return failed("refuses NaN", text, wanted, effort=worst, odd=odd)
-    if not responds:
-        return judged(
-            True, "refuses NaN", f"{text}; states go on", wanted, effort=worst, odd=odd
-        )
-    after = _effort_at(trial, "up")
-    if after is None:
-        return judged(
-            movements(trial)[0] >= MIN_MOVE,
-            "refuses NaN",
-            f"{text}; moves again",
-            wanted,
-            effort=worst,
-            odd=odd,
-        )
-    text += f"; then effort {after[trial.joint]:+.4f} N m on {limits.torque:+.4f}"
-    return judged(
-        _follows(after, trial.joint, limits.torque, tolerance),
-        "refuses NaN",
-        text,
-        wanted,
-        effort=worst,
-        odd=odd,
-    )
+        text += f"; {trial.trouble}"
+    elif odd or worst > tolerance or len(under) < FEW:
+        pass  # told already
+    elif not responds:
+        ok, text = True, f"{text}; states go on"
+    elif (after := _effort_at(trial, "up")) is None:
+        ok, text = movements(trial)[0] >= MIN_MOVE, f"{text}; moves again"
+    else:
+        ok = _follows(after, trial.joint, limits.torque, tolerance)
+        text += f"; then effort {after[trial.joint]:+.4f} N m on {limits.torque:+.4f}"
+    return judged(ok, "refuses NaN", text, wanted, effort=worst, odd=odd)

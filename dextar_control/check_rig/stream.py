@@ -162,27 +162,18 @@ def judge_stream(
             _no_stream(samples, new, duration),
             *(skipped(name, "no stream of states") for name in STREAM_LINES),
         ]
-    lines = [
-        passed(
-            "states",
-            f"{len(samples)} in {duration:.1f} s",
-            f"at least {MIN_STATES}",
-            states=len(samples),
-        )
-    ]
-    lines += [
+    text, limit = f"{len(samples)} in {duration:.1f} s", f"at least {MIN_STATES}"
+    return [
+        passed("states", text, limit, states=len(samples)),
         _names(samples),
         _sizes(samples),
         _numbers(samples),
         *_pace(samples, limits),
         *_stamps(samples, limits),
-    ]
-    lines += [
         _closes(samples, robot, limits),
         _mode_and_range(samples, robot, limits),
         _effort(samples),
     ]
-    return lines
 
 
 def _no_stream(samples: Sequence[JointSample], new: int, duration: float) -> CheckLine:
@@ -226,21 +217,12 @@ def _names(samples: Sequence[JointSample]) -> CheckLine:
         name for name in JOINT_NAMES if any(names.count(name) > 1 for names in seen)
     ]
     if twice:
-        return noted(
-            "joint names",
-            f"{shown}: the controller takes the first {' and '.join(twice)}",
-            limit,
-        )
+        shown += f": the controller takes the first {' and '.join(twice)}"
+        return noted("joint names", shown, limit)
     orders = {tuple(name for name in names if name in JOINT_NAMES) for names in seen}
-    return passed(
-        "joint names",
-        (
-            shown
-            if orders == {JOINT_NAMES}
-            else f"{shown}: another order, which is taken by name"
-        ),
-        limit,
-    )
+    if orders != {JOINT_NAMES}:
+        shown += ": another order, which is taken by name"
+    return passed("joint names", shown, limit)
 
 
 def _sizes(samples: Sequence[JointSample]) -> CheckLine:
@@ -251,27 +233,20 @@ def _sizes(samples: Sequence[JointSample]) -> CheckLine:
         if not {len(sample.velocity), len(sample.effort)} <= {0, len(sample.names)}
     ]
     shown = (wrong or odd or samples)[0]
-    counts = (
-        len(shown.names),
-        len(shown.position),
-        len(shown.velocity),
-        len(shown.effort),
+    sizes = "{} names, {} positions, {} velocities, {} efforts".format(
+        *map(len, shown[2:])
     )
-    sizes = "{} names, {} positions, {} velocities, {} efforts".format(*counts)
+    limit = "as many as names"
     if wrong:
-        return failed(
-            "array sizes",
-            f"{sizes} in {len(wrong)} of {len(samples)} states",
-            "as many as names",
-            wrong=len(wrong),
-        )
+        text = f"{sizes} in {len(wrong)} of {len(samples)} states"
+        return failed("array sizes", text, limit, wrong=len(wrong))
     if odd:
         text = (
             f"{sizes} in {len(odd)} of {len(samples)} states; the controller uses the"
             " positions alone"
         )
-        return noted("array sizes", text, "as many as names", wrong=0)
-    return passed("array sizes", sizes, "as many as names", wrong=0)
+        return noted("array sizes", text, limit, wrong=0)
+    return passed("array sizes", sizes, limit, wrong=0)
 
 
 def _numbers(samples: Sequence[JointSample]) -> CheckLine:
@@ -490,12 +465,8 @@ def _mode_and_range(
             f"{name} {leg.min_angle:.4g} to {leg.max_angle:.4g}"
             for name, leg in zip(JOINT_NAMES, robot.legs, strict=True)
         )
-        return failed(
-            "mode and range",
-            f"{beyond:.3f} rad outside the range ({legs} rad)",
-            wanted,
-            beyond=beyond,
-        )
+        text = f"{beyond:.3f} rad outside the range ({legs} rad)"
+        return failed("mode and range", text, wanted, beyond=beyond)
     low, high = _closing(robot)
     distance = elbow_distance(robot, q_a)
     closed = q_a[(low <= distance) & (distance <= high)]
@@ -528,12 +499,8 @@ def _mode_and_range(
             " set controller.assembly_mode so"
         )
         return noted("mode and range", text, wanted, beyond=beyond)
-    return passed(
-        "mode and range",
-        f"{shown} is in the working mode with assembly_mode {modes[0]:+d}",
-        wanted,
-        beyond=beyond,
-    )
+    text = f"{shown} is in the working mode with assembly_mode {modes[0]:+d}"
+    return passed("mode and range", text, wanted, beyond=beyond)
 
 
 def _in_mode(model: Model, q_a: Array, assembly_mode: int) -> bool:
@@ -551,13 +518,13 @@ def _in_mode(model: Model, q_a: Array, assembly_mode: int) -> bool:
 def _effort(samples: Sequence[JointSample]) -> CheckLine:
     without = len(samples) - len(by_name(samples, "effort")[0])
     text = f"{without} of {len(samples)} states without"
-    if without:
-        text += (
-            ": not sent, or not finite; the controller does not need it, but nobody"
-            " sees the torque go"
-        )
-        return noted("effort feedback", text, "0", without=without)
-    return passed("effort feedback", text, "0", without=0)
+    if not without:
+        return passed("effort feedback", text, "0", without=0)
+    text += (
+        ": not sent, or not finite; the controller does not need it, but nobody sees"
+        " the torque go"
+    )
+    return noted("effort feedback", text, "0", without=without)
 
 
 def judge_velocity(stretches: Sequence[Sequence[JointSample]]) -> CheckLine:

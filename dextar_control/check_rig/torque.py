@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 
 from dextar_control.check_rig.limits import Limits
 from dextar_control.check_rig.report import TORQUE_LINES, CheckLine, Result, skipped
@@ -23,6 +24,7 @@ from dextar_control.check_rig.trial import (
 # A test that failed while the machine disturbed it has so many tries; the last one is
 # judged as it is.
 TRIES = 5
+Judge = Callable[[TorqueTrial, Limits], CheckLine]
 
 
 class TorqueTests:
@@ -52,9 +54,6 @@ class TorqueTests:
         self.finished = False
         self._tries = 1
         self._steps = self._sequence()
-        self._judge: Callable[[TorqueTrial], CheckLine] = lambda trial: response_line(
-            trial, limits
-        )
         self._next()
 
     @property
@@ -86,7 +85,7 @@ class TorqueTests:
         answer = trial.update(now, sample)
         if trial.finished:
             answer = NO_TORQUE
-            line = self._judge(trial)
+            line = self._judge(trial, self._limits)
             again = line.result is Result.SKIP or (
                 trial.disturbed and line.result is Result.FAIL
             )
@@ -116,37 +115,36 @@ class TorqueTests:
             ]
 
     def _next(self) -> None:
-        trial = next(self._steps, None)
-        if trial is None:
+        step = next(self._steps, None)
+        if step is None:
             self.finished = True
         else:
+            trial, self._judge = step
             self.trials.append(trial)
 
-    def _sequence(self) -> Iterator[TorqueTrial]:
+    def _sequence(self) -> Iterator[tuple[TorqueTrial, Judge]]:
+        """Give each trial with what judges it."""
         limits = self._limits
         for joint in (0, 1):
-            self._judge = lambda trial: response_line(trial, limits)
-            yield TorqueTrial(joint, doublet(joint, limits), limits)
+            yield TorqueTrial(joint, doublet(joint, limits), limits), response_line
         good = [
             joint for joint, line in enumerate(self.lines) if line.result is Result.PASS
         ]
-        if not good:
-            self.lines.append(
-                skipped("watchdog", "neither motor responds as commanded")
-            )
-        elif not self._has_effort:
-            self.lines.append(
-                skipped("watchdog", "without effort feedback nobody sees the torque go")
-            )
+        joint = good[0] if good else 0
+        why = (
+            "without effort feedback nobody sees the torque go"
+            if good
+            else "neither motor responds as commanded"
+        )
+        if not good or not self._has_effort:
+            self.lines.append(skipped("watchdog", why))
         else:
-            self._judge = lambda trial: watchdog_line(trial, limits)
-            yield TorqueTrial(good[0], silence(good[0], limits), limits)
+            yield TorqueTrial(joint, silence(joint, limits), limits), watchdog_line
             if self.lines[-1].numbers.get("gone") == 0.0:
                 self.stop(
                     "the drive keeps its torque when commands stop: too risky to go on"
                 )
                 return
-        self._judge = lambda trial: nan_line(trial, limits, responds=bool(good))
-        joint = good[0] if good else 0
         script = nan_and_on(joint, limits) if good else nan_and_on(joint, limits)[:2]
-        yield TorqueTrial(joint, script, limits)
+        judge = partial(nan_line, responds=bool(good))
+        yield TorqueTrial(joint, script, limits), judge

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dextar_control.cli import EXIT_FAILED, EXIT_USAGE
-from dextar_control.cli.arguments import number
+from dextar_control.cli.arguments import add_bag, add_output, number
 from dextar_control.cli.bags import add_robot, exit_code_of, given_robot, shown_progress
 from dextar_control.cli.pdf import add_pdf, write_pdf
 from dextar_control.contract.errors import DextarError
@@ -26,18 +26,12 @@ WIDTHS = (40.0, 400.0)  # mm
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's own arguments."""
-    parser.add_argument(
-        "bag", type=Path, nargs="+", help="an .mcap file, or the run's folder"
-    )
+    add_bag(parser, several="")
     add_robot(parser)
-    parser.add_argument(
-        "--output",
-        type=Path,
-        metavar="DIR",
-        help=(
-            "where the results go (default: beside the bag); several bags that would"
-            " share a folder get one each in it"
-        ),
+    add_output(
+        parser,
+        "where the results go (default: beside the bag); several bags that would share"
+        " a folder get one each in it",
     )
     parser.add_argument(
         "--format",

@@ -47,7 +47,24 @@ def whole(low: int, high: int) -> Callable[[str], int]:
     return read
 
 
-def add_bag(parser: argparse.ArgumentParser, what: str = "run") -> None:
-    """Add the argument that names one bag."""
-    text = f"an .mcap file, or the {what}'s folder"
-    parser.add_argument("bag", type=Path, help=text)
+def add_bag(
+    parser: argparse.ArgumentParser, what: str = "run", several: str | None = None
+) -> None:
+    """Add the argument that names one bag, or several where the words after its help
+    say so.
+    """
+    nargs = None if several is None else "+"
+    text = f"an .mcap file, or the {what}'s folder{several or ''}"
+    parser.add_argument("bag", type=Path, nargs=nargs, help=text)
+
+
+def add_output(
+    parser: argparse.ArgumentParser,
+    text: str,
+    default: Path | None = None,
+    metavar: str = "DIR",
+) -> None:
+    """Add ``--output``, the place of what the command writes."""
+    parser.add_argument(
+        "--output", type=Path, default=default, metavar=metavar, help=text
+    )

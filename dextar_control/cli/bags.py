@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from dextar_control.cli import EXIT_FAILED
+from dextar_control.cli.arguments import add_bag, add_output
 from dextar_control.cli.pdf import add_pdf, write_pdf
 
 if TYPE_CHECKING:
@@ -50,12 +51,7 @@ class Found(NamedTuple):
 
 def add_fit(parser: argparse.ArgumentParser, page: str) -> None:
     """Add the arguments of a command that fits a robot's numbers and writes a page."""
-    parser.add_argument(
-        "bag",
-        type=Path,
-        nargs="+",
-        help="an .mcap file, or the run's folder; several are taken together",
-    )
+    add_bag(parser, several="; several are taken together")
     parser.add_argument(
         "--check",
         type=Path,
@@ -66,12 +62,7 @@ def add_fit(parser: argparse.ArgumentParser, page: str) -> None:
     )
     add_robot(parser)
     add_pdf(parser, page)
-    parser.add_argument(
-        "--output",
-        type=Path,
-        metavar="DIR",
-        help="where the results go (default: beside the first bag)",
-    )
+    add_output(parser, "where the results go (default: beside the first bag)")
 
 
 def run_fit(

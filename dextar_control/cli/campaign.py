@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from dextar_control.cli.arguments import add_output
 from dextar_control.cli.pdf import add_pdf, write_pdf
 from dextar_control.contract.errors import lacking
 
@@ -26,12 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "config", type=Path, help="campaign file, e.g. config/campaign_small.yaml"
     )
-    parser.add_argument(
-        "--output",
-        type=Path,
-        metavar="DIR",
-        help="folder (default: runs/<file>-<digest of the campaign>)",
-    )
+    add_output(parser, "folder (default: runs/<file>-<digest of the campaign>)")
     parser.add_argument(
         "--seed",
         type=int,

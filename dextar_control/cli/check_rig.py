@@ -19,24 +19,14 @@ DESCRIPTION = (
     " argument."
 )
 
+# Name, default, unit and help of an option that takes a number.
 Number = tuple[str, float | None, str, str]
-"""Name, default, unit and help of an option that takes a number."""
 EXPECTED: tuple[Number, ...] = (
     ("--rate", None, "HZ", "of the states (default: one per task.sample_period)"),
     ("--rate-tolerance", 0.05, "X", "relative (default: %(default)s)"),
     ("--jitter", None, "S", "99th percentile off the period (default: one period)"),
-    (
-        "--max-gap",
-        None,
-        "S",
-        "between two states (default: controller.state_timeout)",
-    ),
-    (
-        "--max-age",
-        0.05,
-        "S",
-        "of a stamp at arrival (default: %(default)s)",
-    ),
+    ("--max-gap", None, "S", "between two states (default: controller.state_timeout)"),
+    ("--max-age", 0.05, "S", "of a stamp at arrival (default: %(default)s)"),
     (
         "--watchdog",
         None,

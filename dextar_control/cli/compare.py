@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from dextar_control.cli.arguments import add_bag, add_output
 from dextar_control.cli.bags import add_robot, exit_code_of, given_robot, shown_progress
 
 SUMMARY = "recorded runs side by side, with their differences"
@@ -19,20 +20,9 @@ DESCRIPTION = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's own arguments."""
-    parser.add_argument(
-        "bag",
-        type=Path,
-        nargs="+",
-        help="an .mcap file, or the run's folder; two or more",
-    )
+    add_bag(parser, several="; two or more")
     add_robot(parser)
-    parser.add_argument(
-        "--output",
-        type=Path,
-        default=Path("comparison"),
-        metavar="DIR",
-        help="folder (default: %(default)s)",
-    )
+    add_output(parser, "folder (default: %(default)s)", Path("comparison"))
 
 
 def run(arguments: argparse.Namespace) -> int:

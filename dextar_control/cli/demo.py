@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from dextar_control.cli.arguments import add_output
 from dextar_control.contract.plug_in import one_of
 from dextar_control.contract.settings import ESTIMATORS, LAWS
 
@@ -18,8 +19,8 @@ DESCRIPTION = (
 EXCITE = 20.0  # s
 
 
-def add_excite(group: argparse._MutuallyExclusiveGroup) -> None:
-    """Add ``--excite`` to the arguments that say where to."""
+def add_point_and_excite(group: argparse._MutuallyExclusiveGroup) -> None:
+    """Add ``--point`` and ``--excite`` to the arguments that say where to."""
 
     def seconds(text: str) -> float:
         if not float(text) > 0.0:
@@ -28,6 +29,13 @@ def add_excite(group: argparse._MutuallyExclusiveGroup) -> None:
             )
         return float(text)
 
+    group.add_argument(
+        "--point",
+        type=float,
+        nargs=2,
+        metavar=("X", "Y"),
+        help="return trip through this point of the locus, m",
+    )
     group.add_argument(
         "--excite",
         type=seconds,
@@ -70,14 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             " -N the other way round"
         ),
     )
-    where.add_argument(
-        "--point",
-        type=float,
-        nargs=2,
-        metavar=("X", "Y"),
-        help="return trip through this point of the locus, m",
-    )
-    add_excite(where)
+    add_point_and_excite(where)
     pace = parser.add_mutually_exclusive_group()
     pace.add_argument(
         "--real-time",
@@ -150,13 +151,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             " (repeatable)"
         ),
     )
-    parser.add_argument(
-        "--output",
-        type=Path,
-        default=Path("runs"),
-        metavar="DIR",
-        help="where runs go (default: runs)",
-    )
+    add_output(parser, "where runs go (default: runs)", Path("runs"))
     parser.add_argument(
         "--window",
         action="store_true",

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from dextar_control.cli.arguments import add_bag
+from dextar_control.cli.arguments import add_bag, add_output
 from dextar_control.cli.bags import add_robot, exit_code_of, given_robot, shown_progress
 
 SUMMARY = "a recorded run as a table for pandas or MATLAB"
@@ -23,12 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's own arguments."""
     add_bag(parser)
     add_robot(parser)
-    parser.add_argument(
-        "--output",
-        type=Path,
-        metavar="DIR",
-        help="folder (default: export beside the bag)",
-    )
+    add_output(parser, "folder (default: export beside the bag)")
     parser.add_argument(
         "--format",
         action="append",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dextar_control.cli.arguments import whole
+from dextar_control.cli.arguments import add_output, whole
 
 SUMMARY = (
     "try faults against the nodes while the robot crosses: lost, late and broken"
@@ -56,13 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="sets of nodes side by side in simulated time (default: 2)",
     )
-    parser.add_argument(
-        "--output",
-        type=Path,
-        default=Path("runs"),
-        metavar="DIR",
-        help="where runs go (default: runs)",
-    )
+    add_output(parser, "where runs go (default: runs)", Path("runs"))
 
 
 def run(arguments: argparse.Namespace) -> int:

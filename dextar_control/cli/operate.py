@@ -8,7 +8,7 @@ import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from dextar_control.cli.demo import add_excite
+from dextar_control.cli.demo import add_point_and_excite
 
 
 @dataclass
@@ -40,14 +40,7 @@ def _go_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="cross at N points spread over the locus; 0 is the trip A -> B -> A",
     )
-    where.add_argument(
-        "--point",
-        type=float,
-        nargs=2,
-        metavar=("X", "Y"),
-        help="return trip through this point of the locus, m",
-    )
-    add_excite(where)
+    add_point_and_excite(where)
     parser.add_argument(
         "--duration",
         type=float,

@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from dextar_control.cli.arguments import add_bag, number, whole
+from dextar_control.cli.arguments import add_bag, add_output, number, whole
 from dextar_control.cli.bags import add_robot, exit_code_of, given_robot, shown_progress
 from dextar_control.contract.errors import ParameterError
 
@@ -28,12 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's own arguments."""
     add_bag(parser)
     add_robot(parser)
-    parser.add_argument(
-        "--output",
-        type=Path,
-        metavar="FILE",
-        help=".gif, .webp or .mp4 (default: replay.gif beside the bag)",
-    )
+    text = ".gif, .webp or .mp4 (default: replay.gif beside the bag)"
+    add_output(parser, text, metavar="FILE")
     parser.add_argument(
         "--speed",
         type=number(0.0, 1000.0, above=True),

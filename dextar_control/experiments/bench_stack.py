@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
@@ -55,62 +55,49 @@ class Usage(NamedTuple):
         return (end.late - self.late) / (end.steps - self.steps)
 
 
-class RealTimeStack:
-    """Runs nodes in real time while the controller holds the robot.
-
-    Args:
-        processes: that are to run them.
-        monitor: hears them.
-        nodes: NAME:=VALUE of each of them.
+@contextlib.contextmanager
+def _holding(
+    folder: str, **nodes: Sequence[str]
+) -> Iterator[tuple[NodeClient, Callable[[], Usage]]]:
+    """A context in which plant, controller and further nodes hold the robot in real
+    time: their monitor, and what waits until the plant tells of itself and reads what
+    they have used.
 
     Raises:
         NodesError: a node ends, or the robot is not held in time.
     """
-
-    def __init__(
-        self,
-        processes: Processes,
-        monitor: NodeClient,
-        nodes: Mapping[str, Sequence[str]],
-    ) -> None:
-        self._processes, self.monitor, self._nodes = processes, monitor, nodes
-        for name, values in nodes.items():
-            processes.start(name, node_arguments(name, values))
-        if not monitor.until(self._holds, START_TIMEOUT):
-            raise NodesError(
-                f"{', '.join(nodes)} did not come to hold the robot within"
-                f" {START_TIMEOUT:.0f} s; heard of:"
-                f" {', '.join(monitor.status) or 'none'}"
-            )
-        monitor.wait(SETTLING)
-
-    def _holds(self) -> bool:
-        self._processes.check()
-        heard = self._nodes.keys() <= self.monitor.status.keys()
-        return heard and self.monitor.get("controller", "phase") == "HOLD"
-
-    def look(self) -> Usage:
-        """Wait until the plant tells of itself, and read what the nodes have used."""
-        before = self.monitor.get("plant", "steps")
-        self.monitor.until(
-            lambda: self.monitor.get("plant", "steps") != before, START_TIMEOUT
-        )
-        self._processes.check()
-        used = {name: processor_time(self._processes.pid(name)) for name in self._nodes}
-        plant = self.monitor.status["plant"]
-        return Usage(used, float(plant["steps"]), float(plant["late_ticks"]))
-
-
-@contextlib.contextmanager
-def _holding(folder: str, **nodes: Sequence[str]) -> Iterator[RealTimeStack]:
-    """A context in which plant, controller and further nodes hold the robot."""
     given = {
         "plant": ["mode:=realtime"],
         "controller": ["joint_states.healthy_time:=0.1"],
         **nodes,
     }
     with Processes(Path(folder)) as processes, monitoring("bench") as monitor:
-        yield RealTimeStack(processes, monitor, given)
+
+        def holds() -> bool:
+            processes.check()
+            heard = given.keys() <= monitor.status.keys()
+            return heard and monitor.get("controller", "phase") == "HOLD"
+
+        def look() -> Usage:
+            before = monitor.get("plant", "steps")
+            monitor.until(
+                lambda: monitor.get("plant", "steps") != before, START_TIMEOUT
+            )
+            processes.check()
+            used = {name: processor_time(processes.pid(name)) for name in given}
+            plant = monitor.status["plant"]
+            return Usage(used, float(plant["steps"]), float(plant["late_ticks"]))
+
+        for name, values in given.items():
+            processes.start(name, node_arguments(name, values))
+        if not monitor.until(holds, START_TIMEOUT):
+            raise NodesError(
+                f"{', '.join(given)} did not come to hold the robot within"
+                f" {START_TIMEOUT:.0f} s; heard of:"
+                f" {', '.join(monitor.status) or 'none'}"
+            )
+        monitor.wait(SETTLING)
+        yield monitor, look
 
 
 def bench_nodes(seconds: float) -> dict[str, float]:
@@ -124,10 +111,10 @@ def bench_nodes(seconds: float) -> dict[str, float]:
     """
     with tempfile.TemporaryDirectory() as folder:
         recorder = [f"output:={folder}/run/run.mcap", "bag.parameters_of:=''"]
-        with _holding(folder, recorder=recorder) as stack:
-            begin = stack.look()
-            stack.monitor.wait(seconds)
-            end = stack.look()
+        with _holding(folder, recorder=recorder) as (monitor, look):
+            begin = look()
+            monitor.wait(seconds)
+            end = look()
     return {name: begin.cores(name, end) for name in begin.used}
 
 
@@ -152,13 +139,12 @@ def bench_panel(seconds: float, viewers: int = 1) -> PanelCost:
     """
     with (
         tempfile.TemporaryDirectory() as folder,
-        _holding(folder, panel=["port:=0"]) as stack,
+        _holding(folder, panel=["port:=0"]) as (monitor, look),
         ThreadPoolExecutor(viewers) as pool,
     ):
-        monitor = stack.monitor
-        alone = stack.look()
+        alone = look()
         monitor.wait(seconds)
-        opened = stack.look()
+        opened = look()
         pages = [
             pool.submit(
                 watch_panel,
@@ -169,11 +155,11 @@ def bench_panel(seconds: float, viewers: int = 1) -> PanelCost:
             for number in range(viewers)
         ]
         monitor.wait(SETTLING)
-        begin = stack.look()
+        begin = look()
         monitor.until(
             lambda: all(page.done() for page in pages), START_TIMEOUT + seconds
         )
-        end = stack.look()
+        end = look()
         pictures, stops = pages[0].result()
     return PanelCost(
         alone.cores("panel", opened),

@@ -218,7 +218,6 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
 
 
 def _changes(node: str, texts: Sequence[str]) -> dict[str, object]:
-    """Return the values in NAME:=VALUE of one node."""
     parts = [text.partition(":=") for text in texts]
     return {
         name: parse_value(value, f"-p {node}.{name}:={value}")

@@ -24,8 +24,8 @@ from dextar_control.experiments.start_check import check_start
 from dextar_control.nodes import task
 
 Value = bool | float | str
+# In any case; launch's own conditions take the first two of each.
 TRUE, FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
-"""In any case; launch's own conditions take the first two of each."""
 SPECS = {
     (node, spec.name): spec for node, specs in PARAMETERS.items() for spec in specs
 }
@@ -70,6 +70,8 @@ class Argument(NamedTuple):
 
 
 LEFT = "Empty leaves it to params_file."
+# Every argument of the launch file; where its default depends on the installation the
+# launch file sets it.
 ARGUMENTS = {
     **{
         spec.name: Argument(
@@ -136,9 +138,6 @@ ARGUMENTS = {
         ("LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"),
     ),
 }
-"""Every argument of the launch file; where its default depends on the installation the
-launch file sets it.
-"""
 
 
 def read(given: Mapping[str, str]) -> dict[str, Value]:

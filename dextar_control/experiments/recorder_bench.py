@@ -163,9 +163,8 @@ def _wait_for_all(monitor: NodeClient, processes: Processes, output: Path) -> No
 
 
 def _memory(pid: int) -> float:
-    """Return the largest resident size of a process, MB."""
     status = Path(f"/proc/{pid}/status").read_text()
-    return int(status.partition("VmHWM:")[2].split()[0]) / 1024.0
+    return int(status.partition("VmHWM:")[2].split()[0]) / 1024.0  # MB, at most so far
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -26,11 +26,10 @@ from dextar_control.cli import campaign
 from dextar_control.contract.errors import CampaignError, ParameterError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.experiments.campaign import pool as pool_module
-from dextar_control.experiments.campaign.command import run_command
+from dextar_control.experiments.campaign.command import TIMES, run_command
 from dextar_control.experiments.campaign.config import CampaignConfig
 from dextar_control.experiments.campaign.design import Trial, code_digest, trials_of
 from dextar_control.experiments.campaign.pool import DIED, Pool
-from dextar_control.experiments.campaign.rerun import TIMES
 from dextar_control.experiments.campaign.rows import Row
 from dextar_control.experiments.campaign.store import Store, read_rows
 from dextar_control.experiments.campaign.worker import Job, run_trials

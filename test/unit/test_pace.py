@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from dextar_sim import pace
+from dextar_sim import node
 from dextar_sim.pace import MOST_BEHIND, PATIENT, SHORTEST, Schedule, keeping_pace
 
 PERIOD = 1_000_000
@@ -228,11 +228,11 @@ def test_the_rigs_clock_keeps_up_with_the_steady_one(
 ) -> None:
     rig = MadeUp()
     rig.answers = answers
-    monkeypatch.setattr(pace, "time", rig)
+    monkeypatch.setattr(node, "time", rig)
     rig.stalls = {100: stall}
     rig.begin()
     for _ in range(1400):
-        pace.cycle(rig, rig)
+        node.cycle(rig, rig)
     assert rig.published[-1] - rig.published[0] == pytest.approx(
         1399 * PERIOD, abs=PERIOD // 100
     )
@@ -255,7 +255,7 @@ def test_in_lockstep_each_step_waits_for_its_command_and_the_clock_sets_the_pace
     nothing is overtaken.
     """
     rig = MadeUp()
-    monkeypatch.setattr(pace, "time", rig)
+    monkeypatch.setattr(node, "time", rig)
     rig.lockstep, rig.paced, rig.takes = True, factor > 0.0, round(takes * PERIOD)
     rig.schedule = Schedule(round(PERIOD / factor) if factor else PERIOD)
     answered = []
@@ -267,7 +267,7 @@ def test_in_lockstep_each_step_waits_for_its_command_and_the_clock_sets_the_pace
     monkeypatch.setattr(rig, "repeat_unanswered", lambda: None)
     rig.begin()
     while len(rig.published) < 300:
-        pace.cycle(rig, rig)
+        node.cycle(rig, rig)
     assert answered == [True] * 299
     gaps = [
         after - before

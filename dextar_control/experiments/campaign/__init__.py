@@ -9,7 +9,8 @@ estimators x plants x seeds.
 - ``pool``: worker processes, here or of a running Dask scheduler; ``worker``: what they
   call.
 - ``rows``: what a trial gives; ``store``: the folder of rows, appended as they come;
-  ``run``: all of it, with its progress; ``rerun``: one row.
+  ``run``: all of it, with its progress; ``command``: from the command line, or one
+  row again.
 - ``summary``, ``report``, ``figure``, ``outcome``: statistics and bars, their tables,
   their picture, all in the folder.
 """

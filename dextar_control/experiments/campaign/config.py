@@ -279,7 +279,7 @@ def _within(
 ) -> Numbers:
     for key, value in numbers.items():
         _known(key, ranges, what, where)
-        low, high, _ = ranges[key]
+        low, high = ranges[key][:2]
         if not low <= value <= high:
             raise problem(
                 f"{where}{what} {key} = {value:g}; it must lie in [{low:g}, {high:g}]"

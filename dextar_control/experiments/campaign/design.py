@@ -162,6 +162,7 @@ def version() -> str:
         return "unknown"
 
 
+# Rooms that a row comes from.
 NUMBERS = (
     "contract",
     "symbols",
@@ -172,7 +173,6 @@ NUMBERS = (
     "control",
     "identification",
 )
-"""Rooms that a row comes from."""
 
 
 def code_digest(rig: str, trial: str, own: Sequence[str] = ()) -> str:

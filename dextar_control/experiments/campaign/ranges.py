@@ -9,11 +9,20 @@ from typing import NamedTuple
 
 
 class Range(NamedTuple):
-    """A number's closed interval and its meaning."""
+    """A number's closed interval and its meaning.
+
+    Attributes:
+        low, high: of the interval.
+        meaning: in words, with the unit.
+        measure: of ``summary.Group``, that a bar is for.
+        unit: in which a bar is told where that is not the measure's own.
+    """
 
     low: float
     high: float
     meaning: str
+    measure: str = ""
+    unit: str = ""
 
 
 PERTURBATIONS = {
@@ -127,54 +136,60 @@ PERTURBATIONS = {
     "pose_dropout": Range(0.0, 1.0, "probability that an external pose is missing"),
 }
 
+
+def _bar(measure: str, meaning: str, unit: str = "") -> Range:
+    return Range(0.0, 1.0 if unit == "%" else math.inf, meaning, measure, unit)
+
+
 BARS = {
-    "min_success": Range(0.0, 1.0, "share of the trials that succeed"),
-    "min_crossed": Range(
-        0.0,
-        1.0,
+    "min_success": _bar("success", "share of the trials that succeed", "%"),
+    "min_crossed": _bar(
+        "crossed",
         "share of the trials whose true robot crosses at each planned crossing",
+        "%",
     ),
-    "min_planned": Range(0.0, 1.0, "share of the trials that have a plan"),
-    "max_error": Range(0.0, math.inf, "largest true error of any trial, m"),
-    "median_error": Range(
-        0.0, math.inf, "median over the trials of their largest true error, m"
+    "min_planned": _bar("planned", "share of the trials that have a plan", "%"),
+    "max_error": _bar("max_error", "largest true error of any trial, m", "mm"),
+    "median_error": _bar(
+        "median_error", "median over the trials of their largest true error, m", "mm"
     ),
-    "max_end_error": Range(
-        0.0, math.inf, "largest true error at the end of any trial, m"
+    "max_end_error": _bar(
+        "max_end_error", "largest true error at the end of any trial, m", "mm"
     ),
-    "max_peak_near": Range(
-        0.0, math.inf, "largest torque near the locus over the planned peak"
+    "max_peak_near": _bar(
+        "peak_ratio_near", "largest torque near the locus over the planned peak"
     ),
-    "max_saturated": Range(
-        0.0, math.inf, "largest number of saturated ticks of any trial"
+    "max_saturated": _bar(
+        "saturated", "largest number of saturated ticks of any trial"
     ),
-    "min_recognised": Range(0.0, 1.0, "share of the bounces that are called bounces"),
-    "max_wrong_crossed": Range(
-        0.0, math.inf, "crossings called so that did not happen, in all trials together"
+    "min_recognised": _bar(
+        "recognised", "share of the bounces that are called bounces", "%"
     ),
-    "max_held_wrong": Range(
-        0.0, math.inf, "trials at whose end the robot is held on the wrong side"
+    "max_wrong_crossed": _bar(
+        "wrong_crossed",
+        "crossings called so that did not happen, in all trials together",
     ),
-    "max_wrong_side_time": Range(
-        0.0,
-        math.inf,
+    "max_held_wrong": _bar(
+        "held_wrong", "trials at whose end the robot is held on the wrong side"
+    ),
+    "max_wrong_side_time": _bar(
+        "wrong_side_time",
         "longest time of any trial under a law on the wrong side, clear of the"
         " locus, s",
     ),
-    "max_stopped_after_crossing": Range(
-        0.0,
-        math.inf,
+    "max_stopped_after_crossing": _bar(
+        "stopped_after_crossing",
         "trials that are stopped after the true robot made the first crossing",
     ),
-    "max_false_alarms": Range(
-        0.0, math.inf, "crossings called bounces, in all trials together"
+    "max_false_alarms": _bar(
+        "false_alarms", "crossings called bounces, in all trials together"
     ),
-    "max_bounce_torque": Range(
-        0.0, math.inf, "largest torque from a bounce on over the planned peak"
+    "max_bounce_torque": _bar(
+        "torque_after_bounce", "largest torque from a bounce on over the planned peak"
     ),
-    "min_safe_after": Range(
-        0.0,
-        1.0,
+    "min_safe_after": _bar(
+        "safe_after",
         "share of the recognised bounces whose torque brakes or is gone within 30 ms",
+        "%",
     ),
 }

@@ -10,19 +10,12 @@ from collections.abc import Iterable, Sequence
 from rich import box
 from rich.table import Table
 
+from dextar_control.experiments.campaign.ranges import BARS
 from dextar_control.experiments.campaign.reliability import VERDICTS, Bin
 from dextar_control.experiments.campaign.rows import Row, number, text
 from dextar_control.experiments.campaign.summary import Group
 from dextar_control.experiments.campaign.trial import CONFIDENCE_BINS
 
-LENGTHS = {"max_error", "median_error", "max_end_error"}  # bars in m, said in mm
-SHARES = {
-    "min_success",
-    "min_crossed",
-    "min_planned",
-    "min_recognised",
-    "min_safe_after",
-}
 HEADINGS = (
     "case",
     "law / estimator",
@@ -241,9 +234,10 @@ def _bars(group: Group) -> str:
 def _bar_value(bar: str, value: float) -> str:
     if not math.isfinite(value):
         return "not measured"
-    if bar in LENGTHS:
+    unit = BARS[bar].unit
+    if unit == "mm":
         return f"{mm(value)} mm"
-    return f"{percent(value)} %" if bar in SHARES else f"{value:.3g}"
+    return f"{percent(value)} %" if unit == "%" else f"{value:.3g}"
 
 
 def _number(value: float, form: str) -> str:

@@ -121,7 +121,6 @@ def own_names(config: CampaignConfig) -> tuple[str, ...]:
 
 
 def _pairs(config: CampaignConfig) -> list[tuple[str, str]]:
-    """Law and estimator of each combination, and of the default."""
     default = config.default.law, config.default.estimator
     return [*((one.law, one.estimator) for one in config.combinations), default]
 

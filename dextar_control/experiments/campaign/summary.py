@@ -14,6 +14,7 @@ import numpy as np
 
 from dextar_control.contract.plain_data import as_plain
 from dextar_control.experiments.campaign.config import CampaignConfig
+from dextar_control.experiments.campaign.ranges import BARS
 from dextar_control.experiments.campaign.rows import Row, number, text
 from dextar_control.symbols.types import Array
 
@@ -75,26 +76,6 @@ class Group:
     def missed(self) -> list[BarVerdict]:
         """The bars that do not hold."""
         return [verdict for verdict in self.verdicts if not verdict.holds]
-
-
-MEASURES = {
-    "min_success": "success",
-    "min_crossed": "crossed",
-    "min_planned": "planned",
-    "max_error": "max_error",
-    "median_error": "median_error",
-    "max_end_error": "max_end_error",
-    "max_peak_near": "peak_ratio_near",
-    "max_saturated": "saturated",
-    "min_recognised": "recognised",
-    "max_false_alarms": "false_alarms",
-    "max_wrong_crossed": "wrong_crossed",
-    "max_held_wrong": "held_wrong",
-    "max_wrong_side_time": "wrong_side_time",
-    "max_stopped_after_crossing": "stopped_after_crossing",
-    "max_bounce_torque": "torque_after_bounce",
-    "min_safe_after": "safe_after",
-}
 
 
 def summarise(config: CampaignConfig, rows: Iterable[Row]) -> list[Group]:
@@ -194,7 +175,7 @@ def _group(rows: list[Row]) -> Group:
 
 
 def _verdict(group: Group, bar: str, limit: float) -> BarVerdict:
-    measured = float(getattr(group, MEASURES[bar]))
+    measured = float(getattr(group, BARS[bar].measure))
     holds = measured >= limit if bar.startswith("min_") else measured <= limit
     return BarVerdict(bar, limit, measured, holds)
 

@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Mapping
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import WITHOUT_LAW, Phase
 from dextar_control.control.verdicts import Verdict
 from dextar_control.estimation.estimate import ExternalPosition
+from dextar_control.experiments.campaign.design import CrossingPoint, Trial
 from dextar_control.experiments.campaign.rig import RigInterface, RigMaker
 from dextar_control.experiments.campaign.rows import Row
 from dextar_control.experiments.campaign.self_calibration import calibrated_description
@@ -36,9 +37,6 @@ from dextar_control.planning.planner import (
     plan_return_trip_through,
 )
 from dextar_control.symbols.types import Array
-
-if TYPE_CHECKING:
-    from dextar_control.experiments.campaign.design import CrossingPoint, Trial
 
 MAX_ERROR, END_ERROR = 5e-3, 1e-3  # m, true
 # confidences from which the bins of the reliability table begin
@@ -101,8 +99,6 @@ def sample_points(
     robot: RobotParameters, count: int, folded: int, seed: int
 ) -> list[CrossingPoint]:
     """Spread crossing points over the locus."""
-    from dextar_control.experiments.campaign.design import CrossingPoint
-
     return [
         CrossingPoint(
             (float(place.x[0]), float(place.x[1])),
@@ -219,7 +215,6 @@ def plan_trial(robot: RobotParameters, trial: Trial) -> Plan:
 
 
 def _plan_for(robot: RobotParameters, trial: Trial) -> Plan:
-    """Plan the trip for a robot as the controller knows it."""
     criterion = (
         CrossingCriterion.ZERO_WRENCH
         if trial.law == "multi_model"
@@ -322,17 +317,14 @@ def run_trial(robot: RobotParameters, trial: Trial, rig: RigMaker) -> Row:
         plant.close()
         gc.enable()
     row = _judge(loop, log, bool(perturbation.get("bounce")))
-    return (
-        row
-        | told
-        | {
-            "saturated_drives": saturated_drives,
-            "planning_time": planning,
-            "simulated_time": len(log.time) * plant.period,
-            "wall_time": time.perf_counter() - begin,
-            "cpu_time": time.process_time() - begin_cpu,
-        }
-    )
+    times: Row = {
+        "saturated_drives": saturated_drives,
+        "planning_time": planning,
+        "simulated_time": len(log.time) * plant.period,
+        "wall_time": time.perf_counter() - begin,
+        "cpu_time": time.process_time() - begin_cpu,
+    }
+    return row | told | times
 
 
 def _rig_options(perturbation: Mapping[str, float]) -> dict[str, float | str]:

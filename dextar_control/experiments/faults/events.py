@@ -46,18 +46,12 @@ class Checks(TypedDict):
     violations: list[tuple[str, str]]
 
 
-class Note(TypedDict):
-    """Something is said of a case."""
+class Said(TypedDict):
+    """Something is said of a case; or it, with an empty name the session, could not go
+    on.
+    """
 
-    event: Literal["note"]
-    case: str
-    text: str
-
-
-class Failed(TypedDict):
-    """A case, or with an empty name the session, could not go on."""
-
-    event: Literal["failed"]
+    event: Literal["note", "failed"]
     case: str
     text: str
 
@@ -69,4 +63,4 @@ class Network(TypedDict):
     quality: dict[str, float]
 
 
-Event = Start | CrossingRecord | Checks | Note | Failed | Network
+Event = Start | CrossingRecord | Checks | Said | Network

@@ -63,10 +63,17 @@ def reshape(raw: bytes, shape: MessageShape, began: int) -> bytes:
     ns.
     """
     message = deserialize_message(raw, JointState)
-    numbers = message.position if len(message.position) else message.effort
-    values = list(numbers)
+    values = list(message.position if len(message.position) else message.effort)
     stamp = from_time(message.header.stamp)
-    if shape is MessageShape.NAN:
+    stamps = {
+        MessageShape.STAMP_BACK: max(stamp - STAMP_SHIFT, 0),
+        MessageShape.STAMP_FUTURE: stamp + STAMP_SHIFT,
+        MessageShape.STAMP_EARLY: max(stamp - STAMP_EARLINESS, 0),
+        MessageShape.STAMP_FROZEN: began,
+    }
+    if shape in stamps:
+        message.header.stamp = to_time(stamps[shape])
+    elif shape is MessageShape.NAN:
         values[0] = math.nan
     elif shape is MessageShape.INFINITY:
         values[1] = math.inf
@@ -74,14 +81,6 @@ def reshape(raw: bytes, shape: MessageShape, began: int) -> bytes:
         message.name = ["joint_1", "joint_2"]
     elif shape is MessageShape.SIZES:
         values = values[:1]
-    elif shape is MessageShape.STAMP_BACK:
-        message.header.stamp = to_time(max(stamp - STAMP_SHIFT, 0))
-    elif shape is MessageShape.STAMP_FUTURE:
-        message.header.stamp = to_time(stamp + STAMP_SHIFT)
-    elif shape is MessageShape.STAMP_EARLY:
-        message.header.stamp = to_time(max(stamp - STAMP_EARLINESS, 0))
-    elif shape is MessageShape.STAMP_FROZEN:
-        message.header.stamp = to_time(began)
     elif shape is MessageShape.STEP:
         values[0] += ENCODER_STEP
     if len(message.position):
@@ -103,7 +102,6 @@ class Injector:
         now: stamp of the rig's last state, ns; -1 before the first.
         bad_stamps: of the states that were delivered with numbers that are not finite,
             ns.
-        unanswered: states that were delivered whole and not answered in time.
     """
 
     def __init__(self, node: Node, *, lockstep: bool) -> None:
@@ -111,7 +109,6 @@ class Injector:
         self.commands: MessageLink[bytes] = MessageLink()
         self.now = -1
         self.bad_stamps: list[int] = []
-        self.unanswered = 0
         self._lockstep = lockstep
         self._arrived = 0
         self._waiting: bytes | None = None  # the rig's state that has no answer yet
@@ -250,7 +247,6 @@ class Injector:
         if time.monotonic() < self._deadline:
             return
         if self._expected:
-            self.unanswered += len(self._expected)
             self._answers = False
             self._expected.clear()
         self._deliver_commands()

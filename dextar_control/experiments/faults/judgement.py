@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.experiments.faults.events import Checks
 from dextar_control.symbols.types import Array
 
 Stamps = NDArray[np.int64]
@@ -72,6 +73,12 @@ class Tally:
         """Take the result of one check."""
         self.looked[check.value] += looked
         self.violations += [(check.value, text) for text in violations]
+
+    def told(self, case: str) -> Checks:
+        """Return the event that tells of it; the case is empty at a session's end."""
+        return Checks(
+            event="checks", case=case, looked=self.looked, violations=self.violations
+        )
 
 
 @dataclass(frozen=True)

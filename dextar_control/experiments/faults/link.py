@@ -139,11 +139,6 @@ class MessageLink(Generic[Item]):
         self._transport = transport
         self._random = random.Random(seed)
 
-    @property
-    def transport(self) -> Transport:
-        """What happens to each message."""
-        return self._transport
-
     def add(self, window: FaultWindow) -> None:
         """Give the messages sent in this window its shape."""
         self._windows.append(window)

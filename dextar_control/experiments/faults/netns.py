@@ -18,7 +18,6 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict
-from types import TracebackType
 from typing import Literal, get_args
 
 from dextar_control.experiments.faults.frames import (
@@ -59,12 +58,7 @@ class FaultyLink:
             missing.
     """
 
-    def __init__(
-        self,
-        *,
-        seed: int = 0,
-        **quality: float,
-    ) -> None:
+    def __init__(self, *, seed: int = 0, **quality: float) -> None:
         self._quality = LinkQuality(**quality)
         self._seed = seed
         self._holders: dict[str, subprocess.Popen[str]] = {}
@@ -78,12 +72,7 @@ class FaultyLink:
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     def _open(self) -> None:
@@ -128,7 +117,7 @@ class FaultyLink:
             "dextar_control.experiments.faults.relay",
             json.dumps(settings),
         ]
-        self._relay = _start([*self._inside("relay"), *module])
+        self._relay = _start([*self.inside("relay"), *module])
         if _answer(self._relay) != "ready":
             raise LinkError(
                 "the relay between the namespaces did not start:"
@@ -137,7 +126,7 @@ class FaultyLink:
 
     def _configure(self, name: str, commands: str) -> None:
         done = subprocess.run(
-            [*self._inside(name), "ip", "-batch", "-"],
+            [*self.inside(name), "ip", "-batch", "-"],
             input=commands + "\n",
             capture_output=True,
             text=True,
@@ -148,15 +137,14 @@ class FaultyLink:
                 f" {done.stderr.strip().splitlines()[0]}"
             )
 
-    def inside(self, side: Side) -> list[str]:
-        """Return the command words that put what follows them on one side."""
-        return self._inside(side)
-
-    def _inside(self, name: str) -> list[str]:
-        holder = self._holders.get(name)
+    def inside(self, side: str) -> list[str]:
+        """Return the command words that put what follows them on one side, or beside
+        the relay.
+        """
+        holder = self._holders.get(side)
         if holder is None:
             raise LinkError(
-                f"there is no side '{name}' of the link now; sides are a and b, while"
+                f"there is no side '{side}' of the link now; sides are a and b, while"
                 " the context is entered"
             )
         return ["nsenter", f"--net=/proc/{holder.pid}/ns/net"]
@@ -220,13 +208,15 @@ class FaultyLink:
 
     def helper_pids(self) -> list[int]:
         """Return the process ids of the relay and of what holds the namespaces."""
+        return [process.pid for process in self._helpers()]
+
+    def _helpers(self) -> list[subprocess.Popen[str]]:
         own = [self._relay] if self._relay is not None else []
-        return [process.pid for process in [*own, *self._holders.values()]]
+        return [*own, *self._holders.values()]
 
     def close(self) -> None:
         """End relay and holders; the namespaces go with the last process in them."""
-        own = [self._relay] if self._relay is not None else []
-        for helper in [*own, *self._holders.values()]:
+        for helper in self._helpers():
             _end(helper)
             for pipe in (helper.stdout, helper.stderr):
                 if pipe is not None:

@@ -13,9 +13,11 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Generator, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from collections import Counter
+from collections.abc import Generator, Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import NamedTuple
 
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TimeElapsedColumn
 
@@ -40,25 +42,16 @@ STOP_TIMEOUT = 90.0  # s
 RESOLUTION = 130  # dots per inch
 
 
-@dataclass
-class SessionPlan:
+class SessionPlan(NamedTuple):
     """The cases for sessions of one kind.
 
     Attributes:
         kind: ``lockstep``, ``realtime`` or ``network``.
         cases: name and count, in order.
-        left: of each case, faulted crossings still to come.
-        tries: sessions in which each case was begun.
     """
 
     kind: str
     cases: dict[str, int]
-    left: dict[str, int] = field(init=False)
-    tries: dict[str, int] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.left = dict(self.cases)
-        self.tries = dict.fromkeys(self.cases, 0)
 
 
 class SessionRunner(threading.Thread):
@@ -83,7 +76,8 @@ class SessionRunner(threading.Thread):
         label: str,
     ) -> None:
         super().__init__(name=label, daemon=True)
-        self._plan = plan
+        self._kind = plan.kind
+        self._left = dict(plan.cases)  # faulted crossings still to come
         self._folder = folder
         self._config = config
         self._seed = seed
@@ -93,48 +87,37 @@ class SessionRunner(threading.Thread):
 
     def run(self) -> None:
         """Run sessions until nothing is left or a case was begun too often."""
-        number = 0
+        number, tries = 0, Counter[str]()
         try:
             while not self._stopped and (
                 cases := {
-                    name: count for name, count in self._plan.left.items() if count > 0
+                    name: count for name, count in self._left.items() if count > 0
                 }
             ):
                 number += 1
                 first = next(iter(cases))
-                self._plan.tries[first] += 1
-                if self._plan.tries[first] > ATTEMPTS:
-                    self._events.put(
-                        {
-                            "event": "failed",
-                            "case": first,
-                            "text": f"given up after {ATTEMPTS} sessions",
-                        }
-                    )
-                    self._plan.left[first] = 0
-                    continue
-                with self._network() as link:
-                    self._session(
-                        self._folder / f"{self.name}-{number}", cases, link, number
-                    )
+                tries[first] += 1
+                if tries[first] > ATTEMPTS:
+                    self._fail(first, f"given up after {ATTEMPTS} sessions")
+                    self._left[first] = 0
+                elif self._kind == "network":
+                    with FaultyLink(seed=self._seed) as link:
+                        self._session(cases, link, number)
+                else:
+                    self._session(cases, None, number)
         except DextarError as error:
-            self._events.put({"event": "failed", "case": "", "text": str(error)})
+            self._fail("", str(error))
         finally:
             self._events.put(None)
 
-    @contextlib.contextmanager
-    def _network(self) -> Iterator[FaultyLink | None]:
-        if self._plan.kind != "network":
-            yield None
-            return
-        with FaultyLink(seed=self._seed) as link:
-            yield link
+    def _fail(self, case: str, text: str) -> None:
+        self._events.put({"event": "failed", "case": case, "text": text})
 
     def _session(
-        self, folder: Path, cases: dict[str, int], link: FaultyLink | None, number: int
+        self, cases: dict[str, int], link: FaultyLink | None, number: int
     ) -> None:
+        folder, kind = self._folder / f"{self.name}-{number}", self._kind
         folder.mkdir(parents=True)
-        kind = self._plan.kind
         request = SessionRequest(
             str(folder),
             "lockstep" if kind == "lockstep" else "realtime",
@@ -169,7 +152,7 @@ class SessionRunner(threading.Thread):
             for line in process.stdout:
                 event: Event = json.loads(line)
                 if event["event"] == "record" and event["outcome"] != "disturbed":
-                    self._plan.left[event["case"]] -= 1
+                    self._left[event["case"]] -= 1
                 elif event["event"] == "network":
                     assert link is not None
                     self._write(json.dumps(_apply(link, event["quality"])))
@@ -179,19 +162,9 @@ class SessionRunner(threading.Thread):
                 self._events.put(event)
             code = process.wait()
         if code and not failed and not self._stopped:
-            words = (
-                (folder / "session.log")
-                .read_text(errors="replace")
-                .strip()
-                .splitlines()
-            )
-            text = (
-                f"the session ended with code {code}:"
-                f" {(words or ['nothing was said'])[-1]}"
-            )
-            self._events.put(
-                {"event": "failed", "case": next(iter(cases)), "text": text}
-            )
+            words = (folder / "session.log").read_text(errors="replace").strip()
+            last = (words.splitlines() or ["nothing was said"])[-1]
+            self._fail(next(iter(cases)), f"the session ended with code {code}: {last}")
 
     def _write(self, line: str) -> None:
         assert self._process is not None and self._process.stdin is not None
@@ -264,12 +237,8 @@ def session_plans(
             key=lambda share: sum(_cost(config, *item) for item in share.items()),
         )[name] = count
     groups = [[SessionPlan("lockstep", share) for share in shares if share]]
-    groups += [
-        [SessionPlan(kind, kinds[kind])]
-        for kind in ("realtime", "network")
-        if kinds[kind]
-    ]
-    return [group for group in groups if group]
+    groups += [[SessionPlan(kind, kinds[kind])] for kind in ("realtime", "network")]
+    return [group for group in groups if group and group[0].cases]
 
 
 def _cost(config: FaultConfig, name: str, count: int) -> float:

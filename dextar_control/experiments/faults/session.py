@@ -61,6 +61,13 @@ AT_LOCUS_ABS_S = 0.4  # |s| of the reference below which a fault is at the locus
 SETTLE = 0.3  # s of the rig's time that a robot without control is watched
 FIRST_FAULT = 0.02  # s after the start before which no window opens
 PHASE = CRITERION_NAMES.index("phase")
+# of the phases without control, by number and by name
+OUTCOMES: dict[int | str, Outcome] = {
+    Phase.FAULT: Outcome.FAULT,
+    Phase.FAULT.name: Outcome.FAULT,
+    Phase.SAFE_STOP: Outcome.SAFE_STOP,
+    Phase.SAFE_STOP.name: Outcome.SAFE_STOP,
+}
 
 
 class Fault(NamedTuple):
@@ -144,16 +151,13 @@ class Session(Stack):
                     f" {refusals[0]}"
                 )
             records, tally = self.trip(name, case, action, trips, count - done)
-            recovered = self._back(action)
+            action.restore()
+            self.processes.check()
+            recovered = self.recover()
             for record in records:
                 record["recovered"] = recovered
                 yield record
-            yield {
-                "event": "checks",
-                "case": name,
-                "looked": tally.looked,
-                "violations": tally.violations,
-            }
+            yield tally.told(name)
             tried = [
                 record
                 for record in records
@@ -163,11 +167,8 @@ class Session(Stack):
             idle = 0 if tried else idle + 1
             if not records:
                 why = self._last_reason or "it met nothing"
-                yield {
-                    "event": "note",
-                    "case": name,
-                    "text": f"a trip without the fault: {why}",
-                }
+                text = f"a trip without the fault: {why}"
+                yield {"event": "note", "case": name, "text": text}
             if idle > MOST_IDLE:
                 raise NodesError(f"the fault did not come about in {idle} trips")
             if not recovered:
@@ -176,11 +177,6 @@ class Session(Stack):
                     "the robot did not come back to HOLD:"
                     f" {self.monitor.get('controller', 'reason')}"
                 )
-
-    def _back(self, action: Action) -> bool:
-        action.restore()
-        self.processes.check()
-        return self.recover()
 
     def trip(
         self, name: str, case: FaultCase, action: Action, trips: int, left: int
@@ -289,24 +285,17 @@ class Session(Stack):
         duration = trip.plan.certificate.duration
         end = trip.stamp(duration)
         deadline = time.monotonic() + TRIP_PATIENCE + 20.0 * duration
-        limp = (Phase.FAULT, Phase.SAFE_STOP)
         while time.monotonic() < deadline:
             monitor.turn()
             trouble = action.poll(monitor.now)
             if trouble is not None:
                 self.linger(SETTLE)
                 return trouble
-            if monitor.phase in limp or monitor.get("controller", "phase") in [
-                phase.name for phase in limp
-            ]:
-                phase = (
-                    monitor.phase
-                    if monitor.phase in limp
-                    else Phase[monitor.get("controller", "phase")]
-                )
+            told = monitor.get("controller", "phase")
+            outcome = OUTCOMES.get(monitor.phase) or OUTCOMES.get(told)
+            if outcome is not None:
                 stamps = monitor.criterion.stamps
                 self.linger(SETTLE)
-                outcome = Outcome.FAULT if phase == Phase.FAULT else Outcome.SAFE_STOP
                 return Trouble(stamps[-1] if stamps else monitor.now, outcome)
             if monitor.now >= end + round(0.05 * NANOSECONDS) and action.done:
                 return None
@@ -358,11 +347,7 @@ class Session(Stack):
         stamps, rows = monitor.truth.table(12)
         rows, stamps = rows[stamps <= until], stamps[stamps <= until]
         evidence = Evidence(
-            stamps,
-            rows[:, :4],
-            rows[:, [8, 10]],
-            *monitor.at_rig.table(2),
-            self.period,
+            stamps, rows[:, :4], rows[:, [8, 10]], *monitor.at_rig.table(2), self.period
         )
         trouble = self._first_trouble(trouble)
         sides = judgement.true_side(evidence.joints)
@@ -427,12 +412,7 @@ class Session(Stack):
         """Return the first answered state without control, where there is one."""
         stamps, rows = self.monitor.criterion.stamps, self.monitor.criterion.rows
         for stamp, row in zip(stamps[1:], rows[1:], strict=True):
-            if int(row[PHASE]) in (Phase.FAULT, Phase.SAFE_STOP):
-                outcome = (
-                    Outcome.FAULT
-                    if int(row[PHASE]) == Phase.FAULT
-                    else Outcome.SAFE_STOP
-                )
+            if (outcome := OUTCOMES.get(int(row[PHASE]))) is not None:
                 return Trouble(min(stamp, trouble.stamp) if trouble else stamp, outcome)
         return trouble
 
@@ -507,15 +487,7 @@ def main() -> int:
             # a further one would keep the nodes from being ended
             signals.install(signal.SIG_IGN)
             if session is not None:
-                tally = session.close()
-                say(
-                    {
-                        "event": "checks",
-                        "case": "",
-                        "looked": tally.looked,
-                        "violations": tally.violations,
-                    }
-                )
+                say(session.close().told(""))
     return code
 
 
@@ -527,9 +499,10 @@ if __name__ == "__main__":
         )
     ).parse_args()
     exit_code = 1
-    try:
-        exit_code = main()
-    except BaseException:
-        traceback.print_exc()
-    finally:
-        os._exit(exit_code)  # rclpy's executor may outlive the nodes
+    with signals.loading():  # also a signal before or after the session gives its code
+        try:
+            exit_code = main()
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            os._exit(exit_code)  # rclpy's executor may outlive the nodes

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 from rich.table import Table
 
 from dextar_control.experiments.faults.cases import FaultConfig
@@ -145,14 +146,8 @@ class Summary:
         case.places[record["where"]] += 1
         case.reported.update(record["reported"])
         error = record["true_error"]
-        if (
-            error is not None
-            and not math.isnan(error)
-            and outcome in (Outcome.CROSSED.value, Outcome.REFUSED.value)
-        ):
-            case.worst_error = (
-                error if math.isnan(case.worst_error) else max(case.worst_error, error)
-            )
+        if error is not None and outcome in (Outcome.CROSSED, Outcome.REFUSED):
+            case.worst_error = float(np.fmax(case.worst_error, error))  # nan is none
         if curve := record.get("curve"):
             case.curves.append(curve)
         where = f"{1e3 * record['offset']:+.0f} ms from the crossing"
@@ -199,7 +194,10 @@ class Summary:
 
     def rows(self) -> list[list[str]]:
         """List the rows of the cases that were tried."""
-        return [case.cells() for case in self.cases.values() if case.outcomes]
+        return [case.cells() for case in self._tried()]
+
+    def _tried(self) -> list[CaseCount]:
+        return [case for case in self.cases.values() if case.outcomes]
 
     def never_rows(self) -> list[list[str]]:
         """List the checks: name, how often looked at, how often violated."""
@@ -215,15 +213,9 @@ class Summary:
         cases = Table(
             *(HEAD[column] for column in shown), title=f"{self.count} faulted crossings"
         )
-        for row, case in zip(
-            self.rows(),
-            [case for case in self.cases.values() if case.outcomes],
-            strict=True,
-        ):
-            cases.add_row(
-                *(row[column] for column in shown),
-                style="bold" if case.unexpected else None,
-            )
+        for case in self._tried():
+            row, style = case.cells(), "bold" if case.unexpected else None
+            cases.add_row(*(row[column] for column in shown), style=style)
         never = Table("must never happen", "looked at", "happened")
         for row in self.never_rows():
             never.add_row(*row, style="bold" if row[2] != "0" else None)
