@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import savemat
 
-from dextar_control.analysis.geometry import singularity_measure
 from dextar_control.analysis.run import Floats, Run, Stamps, seconds
 from dextar_control.analysis.timing import phase_name
-from dextar_control.analysis.tracking import tracked
+from dextar_control.analysis.tracking import singularity_measure, tracked
 from dextar_control.contract.errors import ParameterError, bag_errors, lacking
 from dextar_control.contract.robot import JOINT_NAMES, flatten
 from dextar_control.contract.topics import PHASES
