@@ -385,7 +385,6 @@ def _crossing(
 
 
 def _stamps(track: Tracked, first: float, last: float) -> tuple[float, float]:
-    """Convert two times since the trajectory's start to stamps, ns."""
     return track.start + 1e9 * first, track.start + 1e9 * last
 
 

@@ -172,7 +172,6 @@ def _table_of(record: dict[str, str], key: str, kind: type[T]) -> dict[str, T]:
 def _losses(
     table: Mapping[str, dict[str, object]],
 ) -> dict[str, dict[str, int | None]]:
-    """Read the counts per topic, None where one is no number."""
     return {
         topic: {
             key: value if isinstance(value, int) else None
@@ -270,20 +269,33 @@ def _run(
             f"{bag.path}: {name} never holds the joints {', '.join(JOINT_NAMES)} of"
             " this robot"
         )
-    commands, control = (
-        _joints(of(topics.JOINT_COMMANDS), steady),
-        _control(of(topics.CONTROLLER_STATE), steady),
-    )
+    commands = _joints(of(topics.JOINT_COMMANDS), steady)
+    control = _control(of(topics.CONTROLLER_STATE), steady)
     criterion = _criterion(of(topics.CRITERION), steady)
     truth = _truth(of(topics.SIM_END_EFFECTOR), of(topics.SIM_JOINT_STATES), steady)
-    answers = [
-        commands.stamps,
-        control.stamps,
-        criterion.stamps,
-        *([] if truth is None else [truth.stamps]),
-    ]
+    answers = {
+        part_of.name: part.stamps
+        for part_of, part in (
+            (topics.JOINT_COMMANDS, commands),
+            (topics.CONTROLLER_STATE, control),
+            (topics.CRITERION, criterion),
+            (topics.SIM_END_EFFECTOR, truth),
+        )
+        if part is not None
+    }
     trajectory = _trajectory(served)
     diagnostics = _diagnostics(of(topics.DIAGNOSTICS), _namespace(bag_topics.resolved))
+    poses, unreadable = (
+        _poses(of(topics.EXTERNAL_POSE), steady),
+        bag_topics.unreadable(),
+    )
+    for topic, stamps in answers.items():
+        if len(stamps) and not np.isin(stamps, states.stamps).any():
+            raise BagError(
+                f"{bag.path}: none of the {len(stamps)} stamps of {topic} is one of the"
+                f" {len(states.stamps)} of {name}: these are streams of different runs,"
+                " or of different clocks"
+            )
     run = Run(
         path=bag.path,
         states=states,
@@ -291,8 +303,8 @@ def _run(
         control=control,
         criterion=criterion,
         truth=truth,
-        poses=_poses(of(topics.EXTERNAL_POSE), steady),
-        holes=_holes(bag, states, answers),
+        poses=poses,
+        holes=_holes(bag, states, list(answers.values())),
         trajectory=trajectory,
         diagnostics=diagnostics,
         parameters=parameters,
@@ -312,36 +324,16 @@ def _run(
             for name, series in bag.messages.items()
         },
         truncated=bag.truncated is not None,
-        unreadable=bag_topics.unreadable(),
+        unreadable=unreadable,
         stamp_steps=clock.steps,
         clock_steps=clock.system_steps,
     )
-    _check_stamps(run)
     if text := clock_in_words(run.stamp_steps, run.clock_steps):
         warnings.warn(text, stacklevel=3)
     return run
 
 
-def _check_stamps(run: Run) -> None:
-    """Refuse streams that answer the states without one of their stamps."""
-    streams = {
-        topics.JOINT_COMMANDS.name: run.commands.stamps,
-        topics.CONTROLLER_STATE.name: run.control.stamps,
-        topics.CRITERION.name: run.criterion.stamps,
-    }
-    if run.truth is not None:
-        streams[topics.SIM_END_EFFECTOR.name] = run.truth.stamps
-    for name, stamps in streams.items():
-        if len(stamps) and not np.isin(stamps, run.states.stamps).any():
-            raise BagError(
-                f"{run.path}: none of the {len(stamps)} stamps of {name} is one of the"
-                f" {len(run.states.stamps)} of {topics.JOINT_STATES.name}: these are"
-                " streams of different runs, or of different clocks"
-            )
-
-
 def _joint_paths(message: JointState) -> dict[str, str]:
-    """Find what joints and criterion have of a JointState, by name."""
     wanted = [(kind, name) for kind in _KINDS for name in JOINT_NAMES]
     wanted += [("position", name) for name in topics.CRITERION_NAMES]
     return {
@@ -352,7 +344,6 @@ def _joint_paths(message: JointState) -> dict[str, str]:
 
 
 def _control_paths(message: JointTrajectory) -> dict[str, str]:
-    """Find what the controller's state has of a JointTrajectory."""
     found = {name: name for name in _CONTROL_NAMES[:2]}
     for name in _CONTROL_NAMES[2:]:
         _, point, kind, _ = name.split(".")
@@ -364,7 +355,6 @@ def _control_paths(message: JointTrajectory) -> dict[str, str]:
 
 
 def _served(newest: Iterable[Trajectory]) -> list[Trajectory]:
-    """Keep the last trajectory with points."""
     return list(islice((message for message in newest if len(message.points) > 1), 1))
 
 

@@ -251,7 +251,6 @@ def _parameter(run: Run, node: str, name: str) -> float:
 
 
 def _node_limits(run: Run, timing: Timing, late_share: float) -> list[Margin]:
-    """Measure what the nodes watch: states and commands that do not come."""
     found = []
     gap = (
         float(np.diff(run.states.stamps).max()) * 1e-9

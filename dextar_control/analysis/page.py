@@ -11,6 +11,7 @@ import math
 import platform
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
+from itertools import chain
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -112,20 +113,18 @@ def render_report(run: Run, metrics: Metrics) -> str:
     shown = panels(run, metrics)
     duration = metrics.length
     instants = [crossing.planned_time for crossing in metrics.crossings]
-    many, outcomes = (
-        around(run, metrics),
-        [crossing.outcome or crossing.verdict or "" for crossing in metrics.crossings],
-    )
+    many = around(run, metrics)
+    outcomes = [one.outcome or one.verdict or "" for one in metrics.crossings]
     for name, drawn in (
         ("time", over_time(shown, instants, duration)),
         ("timing", _timing_figures(run)),
         ("phases", [phase_band(metrics.phases)] if metrics.phases else []),
         (
             "observed",
-            [
-                over_time([panel], instants, duration)[0]
+            chain.from_iterable(
+                over_time([panel], instants, duration)
                 for panel in observer_panels(run, metrics)
-            ],
+            ),
         ),
         *(
             (f"around{index}", around_crossings(one, outcomes))
@@ -473,7 +472,6 @@ def _crossings(run: Run, metrics: Metrics) -> dict[str, object]:
 def _crossed_places(
     metrics: Metrics, has_truth: bool
 ) -> tuple[list[Column], list[list[Cell]]] | None:
-    """Say where and when it crossed, in a table beside the path."""
     if not metrics.crossings:
         return None
     columns = [
@@ -753,7 +751,6 @@ def _versions(run: Run) -> list[tuple[str, str]]:
 
 
 def _parsed(text: str, kind: type[T]) -> T:
-    """Read a recorded JSON value of a kind; an empty one where there is none."""
     try:
         value = json.loads(text)
     except (ValueError, RecursionError):
@@ -762,7 +759,6 @@ def _parsed(text: str, kind: type[T]) -> T:
 
 
 def _changes(run: Run) -> list[str]:
-    """Say which parameters were changed while the run was recorded."""
     track = tracked(run)
     zero = int(run.states.published[0])
     if track is not None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -217,7 +217,6 @@ def _wrong_counts(folder: Path, files: Sequence[Path], counts: Sequence[int]) ->
 
 
 def _look(scan: Scan, progress: Progress | None) -> _Content:
-    """Count the messages of a file, and those that can be copied."""
     ours: dict[int, bool] = {}
     schemas: set[int] = set()
     messages = copied = damaged = 0
@@ -229,19 +228,28 @@ def _look(scan: Scan, progress: Progress | None) -> _Content:
                 record.message_encoding == "cdr" and record.schema_id in schemas
             )
         elif isinstance(record, Messages):
-            numbers = iter(record.numbers)
-            for channel, _, _, _, begin, end in zip(
-                *[numbers] * PER_MESSAGE, strict=True
-            ):
+            for channel, _, _, _, data, _ in _unpacked(record):
+                known = ours.get(channel)
                 messages += 1
-                good = ours.get(channel)
-                if good and record.data[begin : begin + len(ZSTD)] == ZSTD:
-                    good = (
-                        None if unpack_message(record.data[begin:end]) is None else True
-                    )
-                copied += good is True
-                damaged += good is None
+                copied += known is True and data is not None
+                damaged += known is None or (known and data is None)
     return _Content(messages, copied, damaged)
+
+
+def _unpacked(
+    batch: Messages,
+) -> Iterator[tuple[int, int, int, int, bytes | None, bool]]:
+    """Yield channel, sequence, log and publish time (ns) and content of each message,
+    and whether it was compressed by itself; None for content that is damaged.
+    """
+    numbers = iter(batch.numbers)
+    for channel, sequence, log_time, publish_time, begin, end in zip(
+        *[numbers] * PER_MESSAGE, strict=True
+    ):
+        data = batch.data[begin:end]
+        packed = data.startswith(ZSTD)
+        content = unpack_message(data) if packed else data
+        yield channel, sequence, log_time, publish_time, content, packed
 
 
 def _rebuild(
@@ -311,9 +319,8 @@ def _copy(
     others: dict[int, tuple[str, str]] = {}
     for record in scan.records(progress):
         if isinstance(record, Messages):
-            numbers = iter(record.numbers)
-            for channel, sequence, log_time, publish_time, begin, end in zip(
-                *[numbers] * PER_MESSAGE, strict=True
+            for channel, sequence, log_time, publish_time, data, packed in _unpacked(
+                record
             ):
                 if channel not in channels:
                     unknown = (
@@ -322,26 +329,15 @@ def _copy(
                     )
                     result.leave_out(*others.get(channel, unknown), 1)
                     continue
-                data: bytes | None = record.data[begin:end]
-                if record.data[begin : begin + len(ZSTD)] == ZSTD:
-                    data = unpack_message(record.data[begin:end])
-                    result.unpacked += data is not None
+                topic = channels[channel]
                 if data is None:
-                    result.leave_out(
-                        channels[channel], "their compressed content is damaged", 1
-                    )
-                else:
-                    target.write(
-                        [
-                            SerializedMessage(
-                                log_time,
-                                channels[channel],
-                                publish_time,
-                                sequence,
-                                data,
-                            )
-                        ]
-                    )
+                    result.leave_out(topic, "their compressed content is damaged", 1)
+                    continue
+                result.unpacked += packed
+                message = SerializedMessage(
+                    log_time, topic, publish_time, sequence, data
+                )
+                target.write([message])
         elif isinstance(record, Schema):
             schemas[record.id] = record
         elif isinstance(record, Channel) and record.id not in channels:
@@ -355,18 +351,14 @@ def _copy(
                 others[record.id] = record.topic, f"it is no ROS 2 topic, {why}"
                 result.leave_out(*others[record.id])
                 continue
-            topic = _topic(record, schema)
-            if topics.setdefault(topic.name, topic).type != topic.type:
-                others[record.id] = (
-                    topic.name,
-                    (
-                        f"it is a {topics[topic.name].type} before, and a {topic.type}"
-                        " here"
-                    ),
-                )
+            found = _topic(record, schema)
+            before = topics.setdefault(found.name, found).type
+            if before != found.type:
+                why = f"it is a {before} before, and a {found.type} here"
+                others[record.id] = found.name, why
                 continue
-            channels[record.id] = topic.name
-            target.register(topic)
+            channels[record.id] = found.name
+            target.register(found)
         elif isinstance(record, Metadata) and record.name != RECORD_NAME:
             target.add_metadata(record.name, record.metadata)
         elif isinstance(record, Attachment):
@@ -375,13 +367,11 @@ def _copy(
 
 def _topic(channel: Channel, schema: Schema) -> TopicDescription:
     details: Mapping[str, str] = channel.metadata
-    qos = _profiles(details.get("offered_qos_profiles", ""))
-    text = schema.data.decode("utf-8", errors="replace")
     return TopicDescription(
         channel.topic,
         schema.name,
-        qos,
-        text,
+        _profiles(details.get("offered_qos_profiles", "")),
+        schema.data.decode("utf-8", errors="replace"),
         details.get("topic_type_hash", ""),
         schema.encoding,
     )

@@ -402,11 +402,6 @@ def _check_enough(
 def _check_agree(
     linkage: Linkage, numbers: Array, recordings: Sequence[CalibrationData], found: Fit
 ) -> None:
-    """Check that several recordings are of one robot.
-
-    Raises:
-        CalibrationError: they contradict each other.
-    """
     which = np.array([fold.bag for recording in recordings for fold in recording.folds])
     for bag, recording in enumerate(recordings if len(recordings) > 1 else []):
         wanted = directions_of(recording.folds, None)
@@ -450,11 +445,6 @@ def _check_places(found: Fit, places: Places | None) -> None:
 
 
 def _check_told(found: Fit) -> None:
-    """Check that each quantity is told well enough to be of use.
-
-    Raises:
-        CalibrationError: one is not.
-    """
     vague = [
         (
             f"{direction.name} to +-{1e3 * deviation:.2g} {UNITS[direction.unit][0]}"
@@ -503,11 +493,6 @@ def _encoders(found: Fit) -> str:
 
 
 def _check_explained(found: Fit, gaps: Array) -> None:
-    """Check that one geometry explains the recordings.
-
-    Raises:
-        CalibrationError: none does.
-    """
     used, count = int(found.used.sum()), len(gaps)
     rms = rms_of(gaps[found.used])
     none_spare = not found.places and used <= len(found.directions)
@@ -522,11 +507,6 @@ def _check_explained(found: Fit, gaps: Array) -> None:
 
 
 def _check_bounds(robot: RobotParameters, found: Fit) -> None:
-    """Check that the result is the described robot, a little changed.
-
-    Raises:
-        CalibrationError: it is another one.
-    """
     moved = found.numbers - numbers_of(robot)
     for direction in EVERY:
         change = float(moved[NAMES.index(direction.name)])
@@ -557,7 +537,6 @@ def _plain(numbers: Array, found: Fit) -> Array:
 
 
 def _kept(numbers: Array, wanted: Sequence[Direction]) -> list[str]:
-    """Say what these quantities leave open."""
     if len(wanted) == len(EVERY):
         return []
     value = dict(zip(NAMES, numbers, strict=True))

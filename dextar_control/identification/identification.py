@@ -283,11 +283,6 @@ def _too_little(motions: Sequence[SmoothMotion]) -> str:
 
 
 def _check_motion(motions: Sequence[SmoothMotion]) -> None:
-    """Check that the joints moved enough, and both ways.
-
-    Raises:
-        CalibrationError: there is not; says which joint lacks what.
-    """
     spans = np.max([motion.spans for motion in motions], axis=0)
     joint = int(spans.argmin())
     if spans[joint] < LEAST_SPAN:
@@ -313,11 +308,6 @@ def _check_motion(motions: Sequence[SmoothMotion]) -> None:
 def _check_agree(
     robot: RobotParameters, motions: Sequence[SmoothMotion], found: DynamicFit
 ) -> None:
-    """Check that several recordings are of one robot.
-
-    Raises:
-        CalibrationError: they contradict each other.
-    """
     for row, motion in enumerate(motions if len(motions) > 1 else []):
         if len(motion.tells) >= LEAST_INSTANTS:
             alone = np.median(np.abs(fit_dynamics(robot, [motion]).rest), axis=0)
@@ -337,11 +327,6 @@ def _check_agree(
 
 
 def _check_told(motions: Sequence[SmoothMotion], found: DynamicFit) -> None:
-    """Check that the torques tell the bodies, the motors' friction and gravity.
-
-    Raises:
-        CalibrationError: they do not; says which number lacks what.
-    """
     limits = {
         f"{side}.{name}": widest for side in SIDES for name, widest in WIDEST.items()
     }
@@ -372,11 +357,6 @@ def _check_told(motions: Sequence[SmoothMotion], found: DynamicFit) -> None:
 
 
 def _check_explained(motions: Sequence[SmoothMotion], found: DynamicFit) -> None:
-    """Check that the numbers explain the torques.
-
-    Raises:
-        CalibrationError: they do not.
-    """
     used = float(found.used.mean())
     shares = [
         rms_of(rest) / max(rms_of(torque), 1e-9)
@@ -394,11 +374,6 @@ def _check_explained(motions: Sequence[SmoothMotion], found: DynamicFit) -> None
 
 
 def _check_bounds(robot: RobotParameters, found: DynamicFit) -> None:
-    """Check that the result is the described robot, somewhat changed.
-
-    Raises:
-        CalibrationError: it is another one.
-    """
 
     def fail(what: str, limit: str) -> CalibrationError:
         return CalibrationError(
@@ -479,7 +454,6 @@ def _told(found: DynamicFit) -> list[str]:
 def _kept(
     robot: RobotParameters, found: DynamicFit, stiffnesses: Sequence[Stiffness | None]
 ) -> list[str]:
-    """Say what the recordings leave open."""
     kept, together = [], []
     for row, one in enumerate(found.unknowns):
         if found.deviations[row] <= ALONE * found.prior[row]:
