@@ -509,11 +509,9 @@ def _crossing_row(
     index: int, crossing: CrossingMetrics, has_truth: bool, reached: bool
 ) -> list[Cell]:
     missing = "-" if has_truth else NO_TRUTH
-    late = (
-        None
-        if crossing.true_time is None
-        else 1e3 * (crossing.true_time - crossing.planned_time)
-    )
+    late = missing
+    if crossing.true_time is not None:
+        late = signed(1e3 * (crossing.true_time - crossing.planned_time), ".2f")
     unknown = "-" if has_truth or not crossing.verdict else NO_TRUTH
     right = {True: "right", False: "WRONG", None: unknown}[crossing.verdict_correct]
     # what was seen at the crossing is its own only where tracking reached it
@@ -529,7 +527,7 @@ def _crossing_row(
         Cell(str(index)),
         Cell(f"{crossing.planned_time:.4f}"),
         Cell(number(crossing.true_time, ".4f", missing)),
-        Cell(missing if late is None else signed(late, ".2f")),
+        Cell(late),
         Cell(
             crossing.outcome or missing, crossing.outcome in ("bounced", "not reached")
         ),
@@ -634,14 +632,10 @@ def _recording(run: Run) -> dict[str, object]:
     rows = []
     for name, topic in sorted(run.topics.items()):
         count = run.losses.get(name)
-        lost = (
-            "not counted"
-            if count is None
-            else "unknown"
-            if count.get("lost") is None
-            else str(count["lost"])
-        )
-        dropped = "not counted" if count is None else str(count.get("dropped") or 0)
+        lost = dropped = "not counted"
+        if count is not None:
+            lost = "unknown" if count.get("lost") is None else str(count["lost"])
+            dropped = str(count.get("dropped") or 0)
         rows.append(
             [
                 Cell(name),
@@ -699,17 +693,12 @@ def _rates(name: str, topic: TopicCounts) -> tuple[float | None, float | None]:
         key=lambda own: len(own.name),
         default=None,
     )
-    if (
-        longest is None
-        or longest.type != topic.type
-        or longest.rate == 0.0
-        or longest.rate_text
-    ):
+    if longest is None or longest.type != topic.type:
+        return None, None
+    if longest.rate == 0.0 or longest.rate_text:
         return None, None
     span = (topic.last - topic.first + topic.fallen) * 1e-9
-    return longest.rate, (
-        (topic.count - 1) / span if topic.count > 1 and span > 0.0 else None
-    )
+    return longest.rate, (topic.count - 1) / span if span > 0.0 else None
 
 
 def _short(time: str) -> str:
@@ -785,8 +774,11 @@ def _plan(run: Run, plan: Certificate | None) -> dict[str, object]:
     recorded of it and the robot's limits.
     """
     recorded = _parsed(run.record.get("certificate", ""), dict)
+    crossings = recorded.get("crossings")
     listed = [
-        one for one in _listed(recorded.get("crossings")) if isinstance(one, dict)
+        one
+        for one in (crossings if isinstance(crossings, list) else [])
+        if isinstance(one, dict)
     ]
     rows = []
     names = "max_torque", "max_joint_speed", "max_platform_speed", "min_type1_distance"
@@ -846,10 +838,6 @@ def _plan(run: Run, plan: Certificate | None) -> dict[str, object]:
         "note": text,
         "more": max(len(plan.crossings) - MOST_PLAN_LINES, 0) if plan else 0,
     }
-
-
-def _listed(value: object) -> list[object]:
-    return value if isinstance(value, list) else []
 
 
 def _planned_crossings(

@@ -15,7 +15,6 @@ from dextar_control.analysis.run import Run
 from dextar_control.contract.errors import CalibrationError, ParameterError
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.identification.dynamics import (
-    ALONE,
     DynamicFit,
     fit_dynamics,
     rest_of,
@@ -108,42 +107,20 @@ class Identification:
     def quantities(self) -> list[Quantity]:
         """The description's masses and friction, number by number."""
         fit, found = self.fit, []
-        for one, before, after, deviation, prior in zip(
-            fit.unknowns,
-            fit.before,
-            fit.numbers,
-            fit.deviations,
-            fit.prior,
-            strict=True,
-        ):
-            alone = deviation <= ALONE * prior
-            kept = not alone and not any(
-                term.factors[fit.unknowns.index(one)] for term in fit.combinations
-            )
-            note = "" if alone or kept else "in combination"
-            found.append(
-                Quantity(
-                    one.name,
-                    one.unit,
-                    float(before),
-                    float(after),
-                    0.0 if kept else float(deviation),
-                    note,
-                )
-            )
+        for row, one in enumerate(fit.unknowns):
+            before, after = float(fit.before[row]), float(fit.numbers[row])
+            sure, note = float(fit.deviations[row]), ""
+            if not fit.alone[row] and fit.combined[row]:
+                note = "in combination"
+            elif not fit.alone[row]:
+                sure = 0.0
+            found.append(Quantity(one.name, one.unit, before, after, sure, note))
         for side, leg, told in zip(
             SIDES, self.before.legs, self.stiffnesses, strict=True
         ):
-            value, sure = (leg.transmission_stiffness, 0.0) if told is None else told
-            found.append(
-                Quantity(
-                    f"{side}.transmission_stiffness",
-                    "N m/rad",
-                    leg.transmission_stiffness,
-                    value,
-                    sure,
-                )
-            )
+            name, before = f"{side}.transmission_stiffness", leg.transmission_stiffness
+            after, sure = (before, 0.0) if told is None else told
+            found.append(Quantity(name, "N m/rad", before, after, sure))
         return found
 
 
@@ -456,12 +433,10 @@ def _kept(
 ) -> list[str]:
     kept, together = [], []
     for row, one in enumerate(found.unknowns):
-        if found.deviations[row] <= ALONE * found.prior[row]:
-            continue
         unit, scale = UNITS[one.unit]
-        if any(combination.factors[row] for combination in found.combinations):
-            together.append(one.name)
-        else:
+        if found.combined[row]:
+            together += [one.name] * (not found.alone[row])
+        elif not found.alone[row]:
             kept.append(
                 f"{one.name} is not told: it was kept at"
                 f" {scale * found.before[row]:.4f} {unit}."
