@@ -331,12 +331,8 @@ def render_comparison(comparison: Comparison) -> str:
         instants = [
             crossing.planned_time for crossing in comparison.metrics[0].crossings
         ]
-        figures = {
-            f"time-{index}": one
-            for index, one in enumerate(
-                over_time(over, instants, duration, comparison.names)
-            )
-        }
+        drawn = over_time(over, instants, duration, comparison.names)
+        figures = {f"time-{index}": one for index, one in enumerate(drawn)}
     planes = [
         plane_of(run, one)
         for run, one in zip(comparison.runs, comparison.metrics, strict=True)
@@ -439,10 +435,8 @@ def overlaid(comparison: Comparison) -> list[Panel]:
         for panel in own:
             kind = _kind(panel.key, shown)
             for curve in (curve for curve in panel.curves if curve.kind == kind):
-                key, label = (
-                    panel.key,
-                    TRUE_OR_ESTIMATED.get(panel.key, panel.label).format(kind),
-                )
+                key = panel.key
+                label = TRUE_OR_ESTIMATED.get(key, panel.label).format(kind)
                 if key == "torque":
                     key, label = f"torque{curve.part}", f"τ{curve.part + 1} (N m)"
                 before = found.get(key, Panel(key, label, [], panel.low, panel.high))
@@ -458,15 +452,8 @@ def overlaid(comparison: Comparison) -> list[Panel]:
         found["error"] = found["error"]._replace(
             high=error_height(found["error"].curves)
         )
-    ordered = [
-        found[key]
-        for key in (
-            *sorted(key for key in found if key.startswith("torque")),
-            "error",
-            "residual",
-            "s",
-        )
-    ]
+    torques = sorted(key for key in found if key.startswith("torque"))
+    ordered = [found[key] for key in (*torques, "error", "residual", "s")]
     return [panel._replace(note=beyond(panel)) for panel in ordered]
 
 

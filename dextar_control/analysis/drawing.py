@@ -108,26 +108,15 @@ def draw_plane(axes: Axes, plane: Plane, look: Look = SCREEN) -> None:
         return
     draw_locus(axes, plane.locus, look)
     if len(plane.linkage):
-        draw_line(
-            axes,
-            plane.linkage,
-            LINES["linkage", 0],
-            "robot at a crossing" if plane.places else "robot",
-            look,
-            zorder=2,
-        )
+        name = "robot at a crossing" if plane.places else "robot"
+        draw_line(axes, plane.linkage, LINES["linkage", 0], name, look, zorder=2)
         mark(axes, plane.linkage, "o", 2.6, look, zorder=2)
         mark(axes, plane.motors, "^", 4.0, look, fill="ink", zorder=4)
     draw_line(axes, plane.planned, LINES["planned", 0], "planned", look, zorder=2.5)
-    kind = "true" if len(plane.true) else "estimated"
-    draw_line(
-        axes,
-        plane.true if len(plane.true) else plane.estimated,
-        LINES[kind, 0],
-        kind,
-        look,
-        zorder=3,
+    kind, x = (
+        ("true", plane.true) if len(plane.true) else ("estimated", plane.estimated)
     )
+    draw_line(axes, x, LINES[kind, 0], kind, look, zorder=3)
     draw_places(axes, plane.places, plane.ends, look)
     axes.set_xlim(plane.low[0], plane.high[0])
     axes.set_ylim(plane.low[1], plane.high[1])

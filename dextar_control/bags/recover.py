@@ -45,32 +45,18 @@ from dextar_control.contract.errors import BagError, bag_errors
 SUFFIX = "-recovered"
 # Of a QoS profile in rosbag2's order: a type, or the words for the numbers of rmw that
 # stand there before version 9.
-QOS_KEYS: dict[str, type | tuple[str, ...]] = {
-    "history": ("system_default", "keep_last", "keep_all", "unknown"),
+QOS_KEYS: dict[str, type | list[str]] = {
+    "history": "system_default keep_last keep_all unknown".split(),
     "depth": int,
-    "reliability": (
-        "system_default",
-        "reliable",
-        "best_effort",
-        "unknown",
-        "best_available",
-    ),
+    "reliability": "system_default reliable best_effort unknown best_available".split(),
     "durability": (
-        "system_default",
-        "transient_local",
-        "volatile",
-        "unknown",
-        "best_available",
+        "system_default transient_local volatile unknown best_available".split()
     ),
     "deadline": dict,
     "lifespan": dict,
     "liveliness": (
-        "system_default",
-        "automatic",
-        "manual_by_node",
-        "manual_by_topic",
-        "unknown",
-        "best_available",
+        "system_default automatic manual_by_node manual_by_topic unknown"
+        " best_available".split()
     ),
     "liveliness_lease_duration": dict,
     "avoid_ros_namespace_conventions": bool,
@@ -289,7 +275,7 @@ def _rebuild(
         result.holes += scan.holes
         for name, count in summary.counts.items():
             result.counts[name] = result.counts.get(name, 0) + count
-    filled = [summary for summary in summaries if sum(summary.counts.values())]
+    filled = [summary for summary in summaries if any(summary.counts.values())]
     if not filled:
         left = "; ".join(f"messages of {name}: {why}" for name, why in result.left_out)
         what = f"message of a ROS 2 topic ({left})" if left else "complete message"
@@ -399,7 +385,7 @@ def _profile(profile: object) -> Qos | None:
     found: dict[str, object] = {}
     for key, kind in QOS_KEYS.items():
         value = profile.get(key)
-        if isinstance(kind, tuple):
+        if isinstance(kind, list):
             value = (
                 kind[value] if type(value) is int and 0 <= value < len(kind) else value
             )

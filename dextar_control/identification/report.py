@@ -147,20 +147,13 @@ def render_calibration(
     """Render the page of a calibration."""
     fit, folds = calibration.fit, calibration.folds
     figures = {
-        "before": residuals(
-            UM * calibration.gaps_before,
-            0.0 * fit.spreads,
-            fit.used,
-            "gap before (µm)",
-            "crossing",
-        ),
-        "after": residuals(
-            UM * calibration.gaps_after,
-            UM * fit.spreads,
-            fit.used,
-            "gap after (µm)",
-            "crossing",
-        ),
+        when: residuals(
+            UM * gaps, UM * spreads, fit.used, f"gap {when} (µm)", "crossing"
+        )
+        for when, gaps, spreads in (
+            ("before", calibration.gaps_before, 0.0 * fit.spreads),
+            ("after", calibration.gaps_after, fit.spreads),
+        )
     }
     rows = [
         [
@@ -305,12 +298,8 @@ def render_identification(
     identification: Identification, predictions: Sequence[TorquePrediction]
 ) -> str:
     """Render the page of an identification."""
-    fit, names = (
-        identification.fit,
-        ", ".join(
-            short_name(motion.recorded.path) for motion in identification.motions
-        ),
-    )
+    fit = identification.fit
+    names = ", ".join(short_name(one.recorded.path) for one in identification.motions)
     none = np.zeros(len(fit.rest))
     figures = {
         f"{side}-{when}": residuals(
