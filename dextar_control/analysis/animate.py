@@ -217,7 +217,6 @@ class _Scene:
         )
 
     def _over(self, axes: Axes) -> Axes:
-        """Lay empty axes over others."""
         over = self.figure.add_axes(axes.get_position().bounds)
         over.set_axis_off()
         over.set_xlim(axes.get_xlim())
@@ -270,10 +269,11 @@ class _Scene:
         )
         for base in motion.chain(0)[[0, -1]]:
             axes.plot(*_arc(base, 1.0).T, **look.line(RING))
+        count = len(motion.time)
         reach = [
             motion.planned,
             motion.x,
-            *[motion.chain(row) for row in _some(len(motion.time))],
+            *map(motion.chain, range(0, count, max(count // 20, 1))),
         ]
         low, high = corners(
             [
@@ -321,12 +321,7 @@ def _arc(base: Floats, share: float) -> Floats:
 
 
 def _pixels(figure: Figure) -> NDArray[np.uint8]:
-    """Draw a figure and return its pixels (height, width, 4)."""
     stream = io.BytesIO()
     figure.savefig(stream, format="raw")
     size = [round(side * RESOLUTION) for side in SIZE]
     return np.frombuffer(stream.getvalue(), np.uint8).reshape(size[1], size[0], 4)
-
-
-def _some(count: int) -> range:
-    return range(0, count, max(count // 20, 1))

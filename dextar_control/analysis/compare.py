@@ -227,27 +227,16 @@ class Comparison:
             for name, run in zip(self.names, self.runs, strict=True)
         ]
         differences = [[one.name, *one.values] for one in self.shown_differences]
+        more = len(self.differences) - len(differences)
         text += ["", "## What differs", "", *_rows(["", *self.names], differences)]
-        text += [
-            (
-                f"\n... and {more} more in comparison.json."
-                if (more := len(self.differences) - MOST_DIFFERENCES) > 0
-                else ""
-            )
-        ]
+        text += [f"\n... and {more} more in comparison.json." if more else ""]
         text += ["", "## Side by side", "", "Differences (Δ) are to the first run."]
         text += [*[f"\n{remark}" for remark in self.remarks], ""]
         text += _markdown(self, [*self.lines, *self.machine])
         for index, lines in enumerate(self.crossings[:MOST_CROSSINGS], start=1):
             text += ["", f"## Crossing {index}", "", *_markdown(self, lines)]
-        if len(self.crossings) > MOST_CROSSINGS:
-            text += [
-                "",
-                (
-                    f"... and {len(self.crossings) - MOST_CROSSINGS} more crossings in"
-                    " comparison.json."
-                ),
-            ]
+        if (more := len(self.crossings) - MOST_CROSSINGS) > 0:
+            text += ["", f"... and {more} more crossings in comparison.json."]
         return "\n".join(text) + "\n"
 
     @property
@@ -323,15 +312,13 @@ def write_comparison(comparison: Comparison, folder: Path) -> None:
     """
     with bag_errors(f"write the comparison to {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "comparison.json").write_text(
-            comparison.to_json() + "\n", encoding="utf-8", errors="replace"
-        )
-        (folder / "comparison.md").write_text(
-            comparison.to_markdown(), encoding="utf-8", errors="replace"
-        )
-        (folder / "comparison.html").write_text(
-            render_comparison(comparison), encoding="utf-8", errors="replace"
-        )
+        for kind, text in (
+            ("json", comparison.to_json() + "\n"),
+            ("md", comparison.to_markdown()),
+            ("html", render_comparison(comparison)),
+        ):
+            file = folder / f"comparison.{kind}"
+            file.write_text(text, encoding="utf-8", errors="replace")
 
 
 def render_comparison(comparison: Comparison) -> str:
@@ -344,12 +331,8 @@ def render_comparison(comparison: Comparison) -> str:
         instants = [
             crossing.planned_time for crossing in comparison.metrics[0].crossings
         ]
-        figures = {
-            f"time-{index}": one
-            for index, one in enumerate(
-                over_time(over, instants, duration, comparison.names)
-            )
-        }
+        drawn = over_time(over, instants, duration, comparison.names)
+        figures = {f"time-{index}": one for index, one in enumerate(drawn)}
     planes = [
         plane_of(run, one)
         for run, one in zip(comparison.runs, comparison.metrics, strict=True)
@@ -452,10 +435,8 @@ def overlaid(comparison: Comparison) -> list[Panel]:
         for panel in own:
             kind = _kind(panel.key, shown)
             for curve in (curve for curve in panel.curves if curve.kind == kind):
-                key, label = (
-                    panel.key,
-                    TRUE_OR_ESTIMATED.get(panel.key, panel.label).format(kind),
-                )
+                key = panel.key
+                label = TRUE_OR_ESTIMATED.get(key, panel.label).format(kind)
                 if key == "torque":
                     key, label = f"torque{curve.part}", f"τ{curve.part + 1} (N m)"
                 before = found.get(key, Panel(key, label, [], panel.low, panel.high))
@@ -471,15 +452,8 @@ def overlaid(comparison: Comparison) -> list[Panel]:
         found["error"] = found["error"]._replace(
             high=error_height(found["error"].curves)
         )
-    ordered = [
-        found[key]
-        for key in (
-            *sorted(key for key in found if key.startswith("torque")),
-            "error",
-            "residual",
-            "s",
-        )
-    ]
+    torques = sorted(key for key in found if key.startswith("torque"))
+    ordered = [found[key] for key in (*torques, "error", "residual", "s")]
     return [panel._replace(note=beyond(panel)) for panel in ordered]
 
 
@@ -522,48 +496,40 @@ def name_runs(
     """Give the runs short names that differ: by law and estimator, by whether the truth
     is known, by what else differs, by folder, or by number.
     """
-    ways: list[list[str]] = [
-        [
-            run.record.get("name", "")
-            or (
-                f"{one.law or 'law unknown'} / {one.estimator or 'estimator unknown'}"
-                if one.law or one.estimator
-                else run.path.absolute().parent.name
-            )
-            for run, one in zip(runs, metrics, strict=True)
-        ]
-    ]
-    ways.append(
-        [
-            f"{name}, {'simulation' if run.truth else 'no truth'}"
-            for name, run in zip(ways[0], runs, strict=True)
-        ]
-    )
-    told = [one for one in differences if one.parameter][:WAYS_TO_NAME]
-    for count in range(1, len(told) + 1):
-        ways.append(
-            [
-                ", ".join(
-                    [
-                        name,
-                        *(
-                            f"{one.name.partition('.')[2]} {one.values[row]}"
-                            for one in told[:count]
-                        ),
-                    ]
-                )
-                for row, name in enumerate(ways[0])
-            ]
-        )
     folders = [run.path.absolute().parent.name for run in runs]
-    ways.append(
+    names = [
+        run.record.get("name", "")
+        or (
+            f"{one.law or 'law unknown'} / {one.estimator or 'estimator unknown'}"
+            if one.law or one.estimator
+            else folder
+        )
+        for run, one, folder in zip(runs, metrics, folders, strict=True)
+    ]
+    told = [
+        [f"{one.name.partition('.')[2]} {value}" for value in one.values]
+        for one in differences
+        if one.parameter
+    ][:WAYS_TO_NAME]
+    # what may stand behind each name, per way
+    behind: list[list[list[str]]] = [
+        [[] for _ in runs],
+        [["simulation" if run.truth else "no truth"] for run in runs],
+        *(
+            [[words[row] for words in told[:count]] for row in range(len(runs))]
+            for count in range(1, len(told) + 1)
+        ),
         [
-            name if name == folder else f"{name}, {folder}"
-            for name, folder in zip(ways[0], folders, strict=True)
-        ]
+            [folder] * (folder != name)
+            for name, folder in zip(names, folders, strict=True)
+        ],
+        [[str(number)] for number in range(1, len(runs) + 1)],
+    ]
+    ways = (
+        [", ".join([name, *more]) for name, more in zip(names, way, strict=True)]
+        for way in behind
     )
-    ways.append([f"{name}, {index}" for index, name in enumerate(ways[0], start=1)])
-    return next(names for names in ways if len(set(names)) == len(names))
+    return next(way for way in ways if len(set(way)) == len(way))
 
 
 def _remarks(
@@ -581,17 +547,13 @@ def _remarks(
             " else by the estimated one."
         )
     for name, one in zip(names, metrics, strict=True):
-        remarks += (
-            [f"{name}: no trajectory was tracked; it has no curves."]
-            if one.start_stamp is None
-            else []
-        )
-        remarks += [
-            f"{name}: {text}."
-            for text in damage_lines(one.holes, one.truncated, one.unreadable)
+        untracked = "no trajectory was tracked; it has no curves"
+        told = [
+            *[untracked] * (one.start_stamp is None),
+            *damage_lines(one.holes, one.truncated, one.unreadable),
+            clock_in_words(one.stamp_steps, one.clock_steps),
         ]
-        if stepped := clock_in_words(one.stamp_steps, one.clock_steps):
-            remarks.append(f"{name}: {stepped}.")
+        remarks += [f"{name}: {text}." for text in told if text]
     if len({run.robot for run in runs if run.robot is not None}) > 1:
         remarks.append("The runs have different robots.")
     counts = [len(one.crossings) for one in metrics]
@@ -627,7 +589,6 @@ def _checked(metrics: Metrics) -> list[bool | None]:
 
 
 def _planned(metrics: Metrics, count: int | None) -> int | None:
-    """Return a count over the planned crossings; None where no plan is known."""
     return count if math.isfinite(metrics.planned_peak_torque) else None
 
 
@@ -638,13 +599,15 @@ def _count(values: Sequence[bool | None]) -> int | None:
 def _line(
     compared: Compared[Measured], of: Sequence[Measured], truths: Sequence[bool]
 ) -> ComparisonRow:
-    metric, marks = (
-        compared.metric,
-        [NO_TRUTH if compared.metric.truth and not known else "" for known in truths],
-    )
+    metric = compared.metric
+    lacking = [metric.truth and not known for known in truths]
     values = [
-        None if mark else _known(compared.of(one))
-        for one, mark in zip(of, marks, strict=True)
+        None if lacks else compared.of(one)
+        for one, lacks in zip(of, lacking, strict=True)
+    ]
+    values = [
+        None if isinstance(value, float) and not math.isfinite(value) else value
+        for value in values
     ]
     first = values[0]
     differences = [
@@ -655,11 +618,8 @@ def _line(
         )
         for value in values[1:]
     ]
-    return ComparisonRow(metric, values, differences, [mark or "-" for mark in marks])
-
-
-def _known(value: Value) -> Value:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    missing = [NO_TRUTH if lacks else "-" for lacks in lacking]
+    return ComparisonRow(metric, values, differences, missing)
 
 
 def _entry(line: ComparisonRow) -> dict[str, object]:

@@ -314,13 +314,9 @@ def _crossing(
             value_at(track.true_time, track.true_s, after) * sign,
         )
         crossed = bool(sides[0] < 0.0 < sides[1] and planned <= track.time[-1])
-        outcome = (
-            "crossed"
-            if crossed
-            else "not reached"
-            if planned > track.time[-1]
-            else "bounced"
-        )
+        outcome = "not reached" if planned > track.time[-1] else "bounced"
+        if crossed:
+            outcome = "crossed"
         if lost or (run.truncated and after > track.time[-1]):
             crossed, outcome = None, "not recorded"
     moment = None if lost else _true_instant(track, planned, before, after)
@@ -350,19 +346,14 @@ def _crossing(
         ),
         "peak_torque": largest(torque[distance < NEAR_LOCUS]),
         "torque_step": largest(np.abs(np.diff(torque, axis=0))[zone[1:] & zone[:-1]]),
-        "error_before": largest_between(
-            track.true_time, track.true_error, before, planned
-        ),
-        "error_after": largest_between(
-            track.true_time, track.true_error, planned, after
-        ),
-        "estimated_error_before": largest_between(
-            track.time, track.estimated_error, before, planned
-        ),
-        "estimated_error_after": largest_between(
-            track.time, track.estimated_error, planned, after
-        ),
     }
+    for when, span in (("before", (before, planned)), ("after", (planned, after))):
+        measured |= {
+            f"error_{when}": largest_between(track.true_time, track.true_error, *span),
+            f"estimated_error_{when}": largest_between(
+                track.time, track.estimated_error, *span
+            ),
+        }
     return CrossingMetrics(
         planned_time=planned,
         planned_stamp=track.start + round(planned * 1e9),
@@ -385,7 +376,6 @@ def _crossing(
 
 
 def _stamps(track: Tracked, first: float, last: float) -> tuple[float, float]:
-    """Convert two times since the trajectory's start to stamps, ns."""
     return track.start + 1e9 * first, track.start + 1e9 * last
 
 

@@ -174,14 +174,9 @@ def observer_panels(run: Run, metrics: Metrics) -> list[Panel]:
     inside = _inside(time, track)
     panels = []
     if found.disturbance:
+        torques = 1e3 * run.criterion.disturbance[inside]
         curves = [
-            Curve(
-                f"joint {name}",
-                time[inside],
-                1e3 * run.criterion.disturbance[inside, part],
-                "commanded",
-                part,
-            )
+            Curve(f"joint {name}", time[inside], torques[:, part], "commanded", part)
             for part, name in enumerate(JOINT_NAMES)
         ]
         panels.append(
@@ -211,28 +206,14 @@ def observer_panels(run: Run, metrics: Metrics) -> list[Panel]:
 def _torque(
     run: Run, metrics: Metrics, track: Tracked, plan: Certificate | None
 ) -> Panel:
-    curves = []
-    for part in range(track.torque.shape[1]):
-        name = f"τ{part + 1}"
-        if plan is not None:
-            curves.append(
-                Curve(
-                    f"{name} planned",
-                    plan.profile.time,
-                    plan.profile.torque[:, part],
-                    "planned",
-                    part,
-                )
-            )
-        curves.append(
-            Curve(
-                f"{name} commanded",
-                track.torque_time,
-                track.torque[:, part],
-                "commanded",
-                part,
-            )
-        )
+    drawn = [("commanded", track.torque_time, track.torque)]
+    if plan is not None:
+        drawn.insert(0, ("planned", plan.profile.time, plan.profile.torque))
+    curves = [
+        Curve(f"τ{part + 1} {kind}", time, torque[:, part], kind, part)
+        for part in range(track.torque.shape[1])
+        for kind, time, torque in drawn
+    ]
     high = math.nan
     planned, found = metrics.planned_peak_torque, metrics.peak_torque
     if math.isfinite(planned) and math.isfinite(found):
@@ -315,10 +296,8 @@ def _residual(run: Run, track: Tracked, plan: Certificate | None) -> Panel:
             float(np.nanmax(np.abs(plan.profile.residual))), 1e-3
         )
         finite = np.concatenate([seen[np.isfinite(seen)], plan.profile.residual])
-        low, high = (
-            1.1 * max(float(finite.min()), -ceiling),
-            1.1 * min(float(finite.max()), ceiling),
-        )
+        low = 1.1 * max(float(finite.min()), -ceiling)
+        high = 1.1 * min(float(finite.max()), ceiling)
     return _noted(Panel("residual", style.label("residual"), curves, low, high))
 
 
@@ -326,15 +305,9 @@ def _singularity(run: Run, track: Tracked, plan: Certificate | None) -> Panel:
     time = seconds(run.criterion.stamps - track.start)
     inside = _inside(time, track)
     curves = []
-    if np.isfinite(run.criterion.mode_confidence[inside]).any():
-        curves.append(
-            Curve(
-                "confidence",
-                time[inside],
-                run.criterion.mode_confidence[inside],
-                "confidence",
-            )
-        )
+    confidence = run.criterion.mode_confidence[inside]
+    if np.isfinite(confidence).any():
+        curves.append(Curve("confidence", time[inside], confidence, "confidence"))
     if plan is not None:
         curves.append(Curve("planned", plan.profile.time, plan.profile.s, "planned"))
     curves.append(

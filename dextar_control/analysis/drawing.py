@@ -32,6 +32,7 @@ LEGEND_DROP = 4.0
 FEW, SEVERAL = 3, 6  # most numbers on a small and on a large axis
 ACROSS = 6  # small figures side by side
 BESIDE = 4.5  # px, of a word from its mark
+APART = 0.04  # of the size of what is drawn, within which crossings share a label
 PLACES = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # beside a mark, where a word may lie
 INSTANT = Line("mid", style.DOTTED, 0.9)
 
@@ -83,7 +84,6 @@ SCREEN, PAPER = Look(), Look(0.42)  # of a page's width, of a column of a paper
 
 
 def _points(axes: Axes) -> float:
-    """Return the size of the axes' labels, points."""
     return axes.xaxis.label.get_fontproperties().get_size_in_points()
 
 
@@ -108,26 +108,15 @@ def draw_plane(axes: Axes, plane: Plane, look: Look = SCREEN) -> None:
         return
     draw_locus(axes, plane.locus, look)
     if len(plane.linkage):
-        draw_line(
-            axes,
-            plane.linkage,
-            LINES["linkage", 0],
-            "robot at a crossing" if plane.places else "robot",
-            look,
-            zorder=2,
-        )
+        name = "robot at a crossing" if plane.places else "robot"
+        draw_line(axes, plane.linkage, LINES["linkage", 0], name, look, zorder=2)
         mark(axes, plane.linkage, "o", 2.6, look, zorder=2)
         mark(axes, plane.motors, "^", 4.0, look, fill="ink", zorder=4)
     draw_line(axes, plane.planned, LINES["planned", 0], "planned", look, zorder=2.5)
-    kind = "true" if len(plane.true) else "estimated"
-    draw_line(
-        axes,
-        plane.true if len(plane.true) else plane.estimated,
-        LINES[kind, 0],
-        kind,
-        look,
-        zorder=3,
+    kind, x = (
+        ("true", plane.true) if len(plane.true) else ("estimated", plane.estimated)
     )
+    draw_line(axes, x, LINES[kind, 0], kind, look, zorder=3)
     draw_places(axes, plane.places, plane.ends, look)
     axes.set_xlim(plane.low[0], plane.high[0])
     axes.set_ylim(plane.low[1], plane.high[1])
@@ -177,12 +166,24 @@ def draw_places(
         mark(axes, place.x[None], MARKS[place.verdict], 4.5, look, label)
     for _, point in ends:
         mark(axes, point[None], "o", 3.0, look, fill="ink")
-    for words, point in [
-        *((numbers_in_words(place.numbers), place.x) for place in places),
-        *ends,
-    ]:
+    span = float(np.ptp(axes.dataLim.get_points(), axis=0).max()) or 1.0
+    for words, point in [*_labels(places, APART * span), *ends]:
         if np.isfinite(point).all():
-            _write(axes, words, point, taken, look)
+            _write(axes, words, point, span, taken, look)
+
+
+def _labels(places: Sequence[Place], apart: float) -> list[tuple[str, Floats]]:
+    """Number crossings; those nearer to each other than ``apart``, m, share a label,
+    for two would lie over each other.
+    """
+    found: list[tuple[list[int], Floats]] = []
+    for place in places:
+        near = (own for own, x in found if np.hypot(*(place.x - x)) < apart)
+        if (numbers := next(near, None)) is not None:
+            numbers += place.numbers
+        else:
+            found.append((list(place.numbers), place.x))
+    return [(numbers_in_words(sorted(numbers)), x) for numbers, x in found]
 
 
 def mark(
@@ -211,13 +212,17 @@ def mark(
 
 
 def _write(
-    axes: Axes, words: str, point: Floats, taken: list[Floats], look: Look
+    axes: Axes,
+    words: str,
+    point: Floats,
+    span: float,
+    taken: list[Floats],
+    look: Look,
 ) -> None:
     """Write words beside a point, on the side that is farthest from all that is
     there.
     """
     size = 0.8 * _points(axes)
-    span = float(np.ptp(axes.dataLim.get_points(), axis=0).max()) or 1.0
     aside = 0.03 * span * np.array([1.0 + 0.35 * len(words), 1.0])
     gaps = [
         min(

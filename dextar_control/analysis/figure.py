@@ -107,7 +107,6 @@ def _over_time(
 
 
 def _verdicts(axes: Axes, metrics: Metrics) -> None:
-    """Mark when the estimator said what of the crossings."""
     for verdict in ("crossed", "bounced"):
         times = [
             crossing.verdict_time
@@ -126,34 +125,27 @@ def _verdicts(axes: Axes, metrics: Metrics) -> None:
 
 
 def _places(metrics: Metrics) -> list[str]:
-    """Say where and when the robot crossed."""
-    lines = []
-    for number, one in enumerate(metrics.crossings[:MOST_PLACES], start=1):
-        x = ", ".join(f"{1e3 * value:.1f}" for value in one.point)
-        when = (
-            f"at {one.true_time:.3f} s"
-            if one.true_time is not None
-            else f"planned at {one.planned_time:.3f} s"
+    lines = [
+        f"crossing {number} at ({1e3 * one.point[0]:.1f}, {1e3 * one.point[1]:.1f}) mm"
+        + (
+            f" planned at {one.planned_time:.3f} s"
+            if one.true_time is None
+            else f" at {one.true_time:.3f} s"
         )
-        says = one.verdict or "nothing recorded"
-        lines.append(
-            f"crossing {number} at ({x}) mm {when}: {one.outcome or 'outcome unknown'};"
-            f" estimator: {says}"
-        )
-    if len(metrics.crossings) > MOST_PLACES:
-        lines.append(f"and {len(metrics.crossings) - MOST_PLACES} more")
-    return lines
+        + f": {one.outcome or 'outcome unknown'}; estimator:"
+        f" {one.verdict or 'nothing recorded'}"
+        for number, one in enumerate(metrics.crossings, start=1)
+    ]
+    more = len(lines) - MOST_PLACES
+    return lines[:MOST_PLACES] + [f"and {more} more"] * (more > 0)
 
 
 def _title(metrics: Metrics) -> str:
-    law = (
-        f"{metrics.robot or 'robot unknown'}, law {metrics.law or 'unknown'}, estimator"
-        f" {metrics.estimator or 'unknown'}"
-    )
-    verdict = {True: "crossed as planned", False: "FAILED", None: "not decidable"}[
-        metrics.success
+    words = {True: "crossed as planned", False: "FAILED", None: "not decidable"}
+    lines = [
+        f"{metrics.title}: {words[metrics.success]}",
+        *metrics.reasons[:MOST_REASONS],
     ]
-    lines = [f"{law}: {verdict}", *metrics.reasons[:MOST_REASONS]]
     if len(metrics.reasons) > MOST_REASONS:
         lines[-1] += f" (and {len(metrics.reasons) - MOST_REASONS} more)"
     return "\n".join(textwrap.shorten(line, 150) for line in lines)

@@ -14,7 +14,6 @@ import numpy as np
 import yaml
 
 from dextar_control.analysis.clock import clock_in_words, clock_of
-from dextar_control.analysis.coherence import check_run
 from dextar_control.analysis.run import (
     Control,
     CriterionRecord,
@@ -48,7 +47,6 @@ if TYPE_CHECKING:
     from rosbags.typesys.stores import ros2_jazzy as ros
 
     DiagnosticArray = ros.diagnostic_msgs__msg__DiagnosticArray
-    Duration = ros.builtin_interfaces__msg__Duration
     JointState = ros.sensor_msgs__msg__JointState
     JointTrajectory = ros.trajectory_msgs__msg__JointTrajectory
     PoseStamped = ros.geometry_msgs__msg__PoseStamped
@@ -174,7 +172,6 @@ def _table_of(record: dict[str, str], key: str, kind: type[T]) -> dict[str, T]:
 def _losses(
     table: Mapping[str, dict[str, object]],
 ) -> dict[str, dict[str, int | None]]:
-    """Read the counts per topic, None where one is no number."""
     return {
         topic: {
             key: value if isinstance(value, int) else None
@@ -272,20 +269,33 @@ def _run(
             f"{bag.path}: {name} never holds the joints {', '.join(JOINT_NAMES)} of"
             " this robot"
         )
-    commands, control = (
-        _joints(of(topics.JOINT_COMMANDS), steady),
-        _control(of(topics.CONTROLLER_STATE), steady),
-    )
+    commands = _joints(of(topics.JOINT_COMMANDS), steady)
+    control = _control(of(topics.CONTROLLER_STATE), steady)
     criterion = _criterion(of(topics.CRITERION), steady)
     truth = _truth(of(topics.SIM_END_EFFECTOR), of(topics.SIM_JOINT_STATES), steady)
-    answers = [
-        commands.stamps,
-        control.stamps,
-        criterion.stamps,
-        *([] if truth is None else [truth.stamps]),
-    ]
+    answers = {
+        part_of.name: part.stamps
+        for part_of, part in (
+            (topics.JOINT_COMMANDS, commands),
+            (topics.CONTROLLER_STATE, control),
+            (topics.CRITERION, criterion),
+            (topics.SIM_END_EFFECTOR, truth),
+        )
+        if part is not None
+    }
     trajectory = _trajectory(served)
     diagnostics = _diagnostics(of(topics.DIAGNOSTICS), _namespace(bag_topics.resolved))
+    poses, unreadable = (
+        _poses(of(topics.EXTERNAL_POSE), steady),
+        bag_topics.unreadable(),
+    )
+    for topic, stamps in answers.items():
+        if len(stamps) and not np.isin(stamps, states.stamps).any():
+            raise BagError(
+                f"{bag.path}: none of the {len(stamps)} stamps of {topic} is one of the"
+                f" {len(states.stamps)} of {name}: these are streams of different runs,"
+                " or of different clocks"
+            )
     run = Run(
         path=bag.path,
         states=states,
@@ -293,8 +303,8 @@ def _run(
         control=control,
         criterion=criterion,
         truth=truth,
-        poses=_poses(of(topics.EXTERNAL_POSE), steady),
-        holes=_holes(bag, states, answers),
+        poses=poses,
+        holes=_holes(bag, states, list(answers.values())),
         trajectory=trajectory,
         diagnostics=diagnostics,
         parameters=parameters,
@@ -307,33 +317,23 @@ def _run(
             if key not in ("contract", "topics")
             and not key.startswith(PARAMETER_PREFIX)
         },
-        topics=_recorded_topics(bag),
+        topics={
+            name: TopicCounts(
+                series.type, len(series), series.first, series.last, series.fallen
+            )
+            for name, series in bag.messages.items()
+        },
         truncated=bag.truncated is not None,
-        unreadable=bag_topics.unreadable(),
+        unreadable=unreadable,
         stamp_steps=clock.steps,
         clock_steps=clock.system_steps,
     )
-    check_run(run)
     if text := clock_in_words(run.stamp_steps, run.clock_steps):
         warnings.warn(text, stacklevel=3)
     return run
 
 
-def _nanoseconds(time: Duration) -> int:
-    return int(time.sec) * NANOSECONDS + int(time.nanosec)
-
-
-def _recorded_topics(bag: Bag) -> dict[str, TopicCounts]:
-    return {
-        name: TopicCounts(
-            series.type, len(series), series.first, series.last, series.fallen
-        )
-        for name, series in bag.messages.items()
-    }
-
-
 def _joint_paths(message: JointState) -> dict[str, str]:
-    """Find what joints and criterion have of a JointState, by name."""
     wanted = [(kind, name) for kind in _KINDS for name in JOINT_NAMES]
     wanted += [("position", name) for name in topics.CRITERION_NAMES]
     return {
@@ -344,7 +344,6 @@ def _joint_paths(message: JointState) -> dict[str, str]:
 
 
 def _control_paths(message: JointTrajectory) -> dict[str, str]:
-    """Find what the controller's state has of a JointTrajectory."""
     found = {name: name for name in _CONTROL_NAMES[:2]}
     for name in _CONTROL_NAMES[2:]:
         _, point, kind, _ = name.split(".")
@@ -355,10 +354,7 @@ def _control_paths(message: JointTrajectory) -> dict[str, str]:
     return found
 
 
-def _served(
-    newest: Iterable[Trajectory],
-) -> list[Trajectory]:
-    """Keep the last trajectory with points."""
+def _served(newest: Iterable[Trajectory]) -> list[Trajectory]:
     return list(islice((message for message in newest if len(message.points) > 1), 1))
 
 
@@ -379,10 +375,6 @@ def _pose_paths(message: PoseStamped) -> dict[str, str]:
     return {name: name for name in _POSE_NAMES} if in_base else {}
 
 
-def _motion_paths(_: object) -> dict[str, str]:
-    return {name: name for name in _MOTION_NAMES}
-
-
 # a series hands each function the messages of the type that it stands under
 COLUMNS = cast(
     "dict[str, Columns]",
@@ -390,7 +382,7 @@ COLUMNS = cast(
         topics.JOINT_STATES.type: _joint_paths,
         topics.CONTROLLER_STATE.type: _control_paths,
         topics.EXTERNAL_POSE.type: _pose_paths,
-        topics.SIM_END_EFFECTOR.type: _motion_paths,
+        topics.SIM_END_EFFECTOR.type: lambda _: {name: name for name in _MOTION_NAMES},
     },
 )
 SELECT = cast(
@@ -406,43 +398,14 @@ def _holes(bag: Bag, states: Joints, answers: Sequence[Stamps]) -> list[Hole]:
     found = []
     for hole in bag.holes:
         begin = end = None
-        before = (
-            states.stamps[states.logged <= hole.first]
-            if hole.first is not None
-            else states.stamps[:0]
-        )
-        after = (
-            states.stamps[states.logged >= hole.last]
-            if hole.last is not None
-            else states.stamps[:0]
-        )
-        if len(before):
-            begin = int(before.max())
-            rows = [
-                stamps[int(np.searchsorted(stamps, begin, side="right")) - 1]
-                for stamps in answers
-                if len(stamps)
-            ]
-            begin = min(
-                [
-                    begin,
-                    *(
-                        int(stamp)
-                        for stamp in rows
-                        if begin - ANSWERED <= stamp <= begin
-                    ),
-                ]
-            )
-        if len(after):
-            end = int(after.min())
-            rows = [
-                stamps[min(int(np.searchsorted(stamps, end)), len(stamps) - 1)]
-                for stamps in answers
-                if len(stamps)
-            ]
-            end = max(
-                [end, *(int(stamp) for stamp in rows if end <= stamp <= end + ANSWERED)]
-            )
+        if hole.first is not None and (before := states.logged <= hole.first).any():
+            last = int(states.stamps[before].max())
+            near = (own[(own >= last - ANSWERED) & (own <= last)] for own in answers)
+            begin = min([last, *(int(own[-1]) for own in near if len(own))])
+        if hole.last is not None and (after := states.logged >= hole.last).any():
+            first = int(states.stamps[after].min())
+            near = (own[(own >= first) & (own <= first + ANSWERED)] for own in answers)
+            end = max([first, *(int(own[0]) for own in near if len(own))])
         found.append(replace(hole, file=Path(hole.file).name, begin=begin, end=end))
     return found
 
@@ -544,43 +507,34 @@ def _poses(series: Series, steady: Steady | None) -> Poses | None:
 
 
 def _trajectory(series: Series) -> ServedTrajectory | None:
-    recorded = cast("list[Trajectory]", series.messages())
-    for message in _served(reversed(recorded)):
-        if problem := _incomplete(message.points):
-            warnings.warn(
-                f"{series.topic}: the trajectory cannot be used: {problem}",
-                stacklevel=4,
-            )
-            return None
-        time = np.array(
-            [
-                _nanoseconds(point.time_from_start) / NANOSECONDS
-                for point in message.points
-            ]
+    selected = cast("list[Trajectory]", series.messages())
+    if not selected:
+        return None
+    points = selected[0].points
+    problems = (
+        f"point {number} of {len(points)} has no {field}"
+        for number, point in enumerate(points, start=1)
+        for field in ("transforms", "velocities", "accelerations")
+        if len(getattr(point, field)) == 0
+    )
+    if problem := next(problems, ""):
+        warnings.warn(
+            f"{series.topic}: the trajectory cannot be used: {problem}", stacklevel=4
         )
+        return None
+    clock = [point.time_from_start for point in points]
 
-        def vectors(
-            pick: Callable[[TrajectoryPoint], Vector3],
-            points: Sequence[TrajectoryPoint] = message.points,
-        ) -> Floats:
-            return np.array([(pick(point).x, pick(point).y) for point in points])
+    def vectors(pick: Callable[[TrajectoryPoint], Vector3]) -> Floats:
+        return np.array([(pick(point).x, pick(point).y) for point in points])
 
-        return ServedTrajectory(
-            time,
-            vectors(lambda p: p.transforms[0].translation),
-            vectors(lambda p: p.velocities[0].linear),
-            vectors(lambda p: p.accelerations[0].linear),
-        )
-    return None
-
-
-def _incomplete(points: Sequence[TrajectoryPoint]) -> str:
-    """Say what a trajectory's points lack; "" where they lack nothing."""
-    for number, point in enumerate(points, start=1):
-        for field in ("transforms", "velocities", "accelerations"):
-            if len(getattr(point, field)) == 0:
-                return f"point {number} of {len(points)} has no {field}"
-    return ""
+    return ServedTrajectory(
+        np.array(
+            [(one.sec * NANOSECONDS + one.nanosec) / NANOSECONDS for one in clock]
+        ),
+        vectors(lambda p: p.transforms[0].translation),
+        vectors(lambda p: p.velocities[0].linear),
+        vectors(lambda p: p.accelerations[0].linear),
+    )
 
 
 def _namespace(resolved: dict[str, str]) -> str | None:

@@ -197,11 +197,11 @@ def measure_margins(
             )
     if (side := _side(run, settings, track, plan)) is not None:
         found.append(side)
-    least = (
-        int(np.argmin(np.where(outside, criterion.mode_confidence, np.inf)))
-        if outside.any()
-        else -1
-    )
+    least = least_time = math.nan
+    if outside.any():
+        row = int(np.argmin(np.where(outside, criterion.mode_confidence, np.inf)))
+        least = float(criterion.mode_confidence[row])
+        least_time = (criterion.stamps[row] - track.start) * 1e-9
     rows = np.isin(criterion.stamps, track.stamps)
     return Margins(
         limits=sorted(
@@ -212,12 +212,8 @@ def measure_margins(
             ),
         ),
         unknown=unknown,
-        least_confidence=(
-            float(criterion.mode_confidence[least]) if least >= 0 else math.nan
-        ),
-        least_confidence_time=(
-            (criterion.stamps[least] - track.start) * 1e-9 if least >= 0 else math.nan
-        ),
+        least_confidence=least,
+        least_confidence_time=least_time,
         disturbance=_largest(criterion.disturbance[rows]),
         bias=_largest(criterion.bias[rows]),
         innovation=_innovation(
@@ -251,21 +247,14 @@ def _parameter(run: Run, node: str, name: str) -> float:
 
 
 def _node_limits(run: Run, timing: Timing, late_share: float) -> list[Margin]:
-    """Measure what the nodes watch: states and commands that do not come."""
-    found = []
-    gap = (
-        float(np.diff(run.states.stamps).max()) * 1e-9
-        if len(run.states.stamps) > 1
-        else math.nan
-    )
-    allowed = _parameter(run, "controller", "joint_states.timeout")
+    stamps = run.states.stamps
     limits = [
         (
             "states",
             "longest time between two states, by their stamps",
             "s",
-            gap,
-            allowed,
+            float(np.diff(stamps).max()) * 1e-9 if len(stamps) > 1 else math.nan,
+            _parameter(run, "controller", "joint_states.timeout"),
         )
     ]
     if timing.lockstep is False:
@@ -285,10 +274,11 @@ def _node_limits(run: Run, timing: Timing, late_share: float) -> list[Margin]:
                 MOST_LATE,
             ),
         ]
-    for name, what, unit, value, limit in limits:
-        if math.isfinite(value):
-            found.append(Margin(name, what, unit, value, limit, value / limit))
-    return found
+    return [
+        Margin(name, what, unit, value, limit, value / limit)
+        for name, what, unit, value, limit in limits
+        if math.isfinite(value)
+    ]
 
 
 def _side(
@@ -387,12 +377,7 @@ def _watches(
             ),
             Layout("estimate", 2, ESTIMATE).rows(
                 **_zeros(ESTIMATE)
-                | {
-                    "x": x,
-                    "x_dot": x_dot,
-                    "q_a": q_a,
-                    "q_a_dot": q_a_dot,
-                }
+                | {"x": x, "x_dot": x_dot, "q_a": q_a, "q_a_dot": q_a_dot}
             ),
             Layout("output", 2, OUTPUT).rows(
                 **_zeros(OUTPUT)

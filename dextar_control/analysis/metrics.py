@@ -335,6 +335,14 @@ class Metrics:
         known = math.isfinite(self.duration)
         return self.duration if known else self.tracked_until
 
+    @property
+    def title(self) -> str:
+        """Robot, law and estimator, in words."""
+        return (
+            f"{self.robot or 'robot unknown'}, law {self.law or 'unknown'}, estimator"
+            f" {self.estimator or 'unknown'}"
+        )
+
     def shown(self, name: str, missing: str = "-") -> str:
         """Format one of the numbers with its unit, as people read it; ``missing``
         stands for one that is not known.

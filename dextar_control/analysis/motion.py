@@ -10,11 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dextar_control.analysis.geometry import singularity_measure
 from dextar_control.analysis.plane import chain, locus_of, t_s_at
 from dextar_control.analysis.run import Floats, Run, Stamps, rows_between, seconds
 from dextar_control.analysis.timing import phase_name
-from dextar_control.analysis.tracking import tracked
+from dextar_control.analysis.tracking import singularity_measure, tracked
 from dextar_control.contract.errors import BagError, ParameterError
 from dextar_control.contract.robot import JOINT_NAMES, RobotParameters, flatten
 

@@ -11,6 +11,7 @@ import math
 import platform
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
+from itertools import chain
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -112,20 +113,18 @@ def render_report(run: Run, metrics: Metrics) -> str:
     shown = panels(run, metrics)
     duration = metrics.length
     instants = [crossing.planned_time for crossing in metrics.crossings]
-    many, outcomes = (
-        around(run, metrics),
-        [crossing.outcome or crossing.verdict or "" for crossing in metrics.crossings],
-    )
+    many = around(run, metrics)
+    outcomes = [one.outcome or one.verdict or "" for one in metrics.crossings]
     for name, drawn in (
         ("time", over_time(shown, instants, duration)),
         ("timing", _timing_figures(run)),
         ("phases", [phase_band(metrics.phases)] if metrics.phases else []),
         (
             "observed",
-            [
-                over_time([panel], instants, duration)[0]
+            chain.from_iterable(
+                over_time([panel], instants, duration)
                 for panel in observer_panels(run, metrics)
-            ],
+            ),
         ),
         *(
             (f"around{index}", around_crossings(one, outcomes))
@@ -473,7 +472,6 @@ def _crossings(run: Run, metrics: Metrics) -> dict[str, object]:
 def _crossed_places(
     metrics: Metrics, has_truth: bool
 ) -> tuple[list[Column], list[list[Cell]]] | None:
-    """Say where and when it crossed, in a table beside the path."""
     if not metrics.crossings:
         return None
     columns = [
@@ -511,11 +509,9 @@ def _crossing_row(
     index: int, crossing: CrossingMetrics, has_truth: bool, reached: bool
 ) -> list[Cell]:
     missing = "-" if has_truth else NO_TRUTH
-    late = (
-        None
-        if crossing.true_time is None
-        else 1e3 * (crossing.true_time - crossing.planned_time)
-    )
+    late = missing
+    if crossing.true_time is not None:
+        late = signed(1e3 * (crossing.true_time - crossing.planned_time), ".2f")
     unknown = "-" if has_truth or not crossing.verdict else NO_TRUTH
     right = {True: "right", False: "WRONG", None: unknown}[crossing.verdict_correct]
     # what was seen at the crossing is its own only where tracking reached it
@@ -531,7 +527,7 @@ def _crossing_row(
         Cell(str(index)),
         Cell(f"{crossing.planned_time:.4f}"),
         Cell(number(crossing.true_time, ".4f", missing)),
-        Cell(missing if late is None else signed(late, ".2f")),
+        Cell(late),
         Cell(
             crossing.outcome or missing, crossing.outcome in ("bounced", "not reached")
         ),
@@ -636,14 +632,10 @@ def _recording(run: Run) -> dict[str, object]:
     rows = []
     for name, topic in sorted(run.topics.items()):
         count = run.losses.get(name)
-        lost = (
-            "not counted"
-            if count is None
-            else "unknown"
-            if count.get("lost") is None
-            else str(count["lost"])
-        )
-        dropped = "not counted" if count is None else str(count.get("dropped") or 0)
+        lost = dropped = "not counted"
+        if count is not None:
+            lost = "unknown" if count.get("lost") is None else str(count["lost"])
+            dropped = str(count.get("dropped") or 0)
         rows.append(
             [
                 Cell(name),
@@ -701,17 +693,12 @@ def _rates(name: str, topic: TopicCounts) -> tuple[float | None, float | None]:
         key=lambda own: len(own.name),
         default=None,
     )
-    if (
-        longest is None
-        or longest.type != topic.type
-        or longest.rate == 0.0
-        or longest.rate_text
-    ):
+    if longest is None or longest.type != topic.type:
+        return None, None
+    if longest.rate == 0.0 or longest.rate_text:
         return None, None
     span = (topic.last - topic.first + topic.fallen) * 1e-9
-    return longest.rate, (
-        (topic.count - 1) / span if topic.count > 1 and span > 0.0 else None
-    )
+    return longest.rate, (topic.count - 1) / span if span > 0.0 else None
 
 
 def _short(time: str) -> str:
@@ -753,7 +740,6 @@ def _versions(run: Run) -> list[tuple[str, str]]:
 
 
 def _parsed(text: str, kind: type[T]) -> T:
-    """Read a recorded JSON value of a kind; an empty one where there is none."""
     try:
         value = json.loads(text)
     except (ValueError, RecursionError):
@@ -762,7 +748,6 @@ def _parsed(text: str, kind: type[T]) -> T:
 
 
 def _changes(run: Run) -> list[str]:
-    """Say which parameters were changed while the run was recorded."""
     track = tracked(run)
     zero = int(run.states.published[0])
     if track is not None:
@@ -789,8 +774,11 @@ def _plan(run: Run, plan: Certificate | None) -> dict[str, object]:
     recorded of it and the robot's limits.
     """
     recorded = _parsed(run.record.get("certificate", ""), dict)
+    crossings = recorded.get("crossings")
     listed = [
-        one for one in _listed(recorded.get("crossings")) if isinstance(one, dict)
+        one
+        for one in (crossings if isinstance(crossings, list) else [])
+        if isinstance(one, dict)
     ]
     rows = []
     names = "max_torque", "max_joint_speed", "max_platform_speed", "min_type1_distance"
@@ -850,10 +838,6 @@ def _plan(run: Run, plan: Certificate | None) -> dict[str, object]:
         "note": text,
         "more": max(len(plan.crossings) - MOST_PLAN_LINES, 0) if plan else 0,
     }
-
-
-def _listed(value: object) -> list[object]:
-    return value if isinstance(value, list) else []
 
 
 def _planned_crossings(

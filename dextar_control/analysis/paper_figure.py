@@ -84,7 +84,6 @@ def draw_paper(run: Run, metrics: Metrics, width: float = COLUMN) -> Figure:
 
 
 def _shortened(panel: Panel) -> Panel:
-    """Shorten the names of curves so that a column has room for them."""
     return panel._replace(
         label=panel.label.removeprefix("tracking "),
         curves=[

@@ -30,7 +30,7 @@ from dextar_control.planning.model import StatesModel, states_model
 
 SIZE = (12.0, 6.4)  # inches
 ARROW = 14e-3  # m, of a crossing's direction
-SAME_PLACE = 1e-4  # m, crossings closer than this share a label
+SAME_PLACE = 1e-4  # m, a path whose ends are closer than this returns to its start
 HEADROOM = 1.15  # of the torque axis over the peak
 GRID = 90  # points along each axis where a locus has no closed form
 
@@ -92,14 +92,13 @@ def _path(axes: Axes, robot: AnyRobot, certificate: Certificate) -> None:
         mark(axes, links, "o", 2.6, SCREEN, zorder=2)
     draw_line(axes, x[:, :2], Line("ink", (), 1.4), "path", SCREEN, zorder=3)
     places = []
-    for numbers, row in _places(certificate):
-        point, velocity = np.array(crossings[row].x), np.array(crossings[row].x_dot)[:2]
-        t_s = T_S_LENGTH * model.place(point).t_s[:2]
-        places.append(
-            Place(numbers, point[:2], np.stack([point[:2] - t_s, point[:2] + t_s]), "")
-        )
+    for number, crossing in enumerate(crossings, start=1):
+        point, velocity = np.array(crossing.x[:2]), np.array(crossing.x_dot[:2])
+        along = T_S_LENGTH * model.place(np.array(crossing.x)).t_s[:2]
+        ends_of_t_s = np.stack([point - along, point + along])
+        places.append(Place([number], point, ends_of_t_s, ""))
         if speed := float(np.hypot(*velocity)):
-            tip = point[:2] + ARROW * velocity / speed
+            tip = point + ARROW * velocity / speed
             axes.annotate(
                 "",
                 (tip[0], tip[1]),
@@ -111,11 +110,9 @@ def _path(axes: Axes, robot: AnyRobot, certificate: Certificate) -> None:
                     "linewidth": 1.2,
                 },
             )
-    ends = (
-        [("start", x[0, :2])]
-        if np.hypot(*(x[-1, :2] - x[0, :2])) < SAME_PLACE
-        else [("start", x[0, :2]), ("end", x[-1, :2])]
-    )
+    ends = [("start", x[0, :2]), ("end", x[-1, :2])]
+    if np.hypot(*(x[-1, :2] - x[0, :2])) < SAME_PLACE:
+        ends.pop()
     draw_places(axes, places, ends, SCREEN)
     low, high = corners([x[:, :2], links, *(arc for _, arc in locus)], [])
     if not isinstance(robot, RobotParameters):
@@ -156,25 +153,6 @@ def _contour(
             ),
             **line,
         )
-
-
-def _places(certificate: Certificate) -> list[tuple[list[int], int]]:
-    """Collect the numbers of the crossings that share a place and a direction, each
-    with the row of the first.
-    """
-    places: list[tuple[list[int], int]] = []
-    for row, crossing in enumerate(certificate.crossings):
-        for numbers, first in places:
-            other = certificate.crossings[first]
-            if (
-                crossing.sign == other.sign
-                and np.linalg.norm(np.subtract(crossing.x, other.x)) < SAME_PLACE
-            ):
-                numbers.append(row + 1)
-                break
-        else:
-            places.append(([row + 1], row))
-    return places
 
 
 def _panels(robot: AnyRobot, certificate: Certificate) -> list[Panel]:

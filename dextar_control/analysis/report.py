@@ -67,15 +67,13 @@ def analyze(
     folder = Path(output_dir) if output_dir is not None else run.path.parent
     with bag_errors(f"write the analysis to {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "metrics.json").write_text(
-            metrics.to_json() + "\n", encoding="utf-8", errors="replace"
-        )
+        text, page = folder / "metrics.json", folder / "report.html"
+        text.write_text(metrics.to_json() + "\n", encoding="utf-8", errors="replace")
         progress("drawing figure.png")
         draw_run(run, metrics).savefig(folder / "figure.png", dpi=RESOLUTION)
         progress("writing report.html")
-        (folder / "report.html").write_text(
-            render_report(run, metrics), encoding="utf-8", errors="replace"
-        )
+        written = render_report(run, metrics)
+        page.write_text(written, encoding="utf-8", errors="replace")
         if formats:
             progress("drawing the figure for a paper")
             write_paper(run, metrics, folder, list(formats), width or COLUMN)
@@ -84,11 +82,7 @@ def analyze(
 
 def summary_table(metrics: Metrics) -> Table:
     """Make the summary of a run a table for a terminal."""
-    title = (
-        f"{metrics.robot or 'run'}, law {metrics.law or 'unknown'}, estimator"
-        f" {metrics.estimator or 'unknown'}"
-    )
-    table = Table(show_header=False, title=title, title_justify="left")
+    table = Table(show_header=False, title=metrics.title, title_justify="left")
     for name, value in summary_lines(metrics):
         table.add_row(name, value)
     return table
@@ -155,10 +149,10 @@ def _crossed(metrics: Metrics) -> str:
 
 
 def _lost(metrics: Metrics) -> str:
-    lost = {topic: count for topic, count in metrics.lost.items() if count != 0}
     text = ", ".join(
         f"{topic}: {'unknown' if count is None else count}"
-        for topic, count in lost.items()
+        for topic, count in metrics.lost.items()
+        if count != 0
     )
     text = text or ("none" if metrics.lost else "not counted")
     if metrics.truncated and metrics.lost:
@@ -171,7 +165,6 @@ def _lost(metrics: Metrics) -> str:
 
 
 def _verdicts(metrics: Metrics) -> str:
-    """Say how the estimator judged the crossings, and whether it was right."""
     verdicts = [crossing.verdict for crossing in metrics.crossings]
     if not verdicts or None in verdicts:
         return NOTHING
@@ -191,7 +184,6 @@ def _verdicts(metrics: Metrics) -> str:
 
 
 def _pace(metrics: Metrics) -> str:
-    """Say how fast a simulation ran that waits for its commands."""
     factor = metrics.mean_rate * metrics.timing.stamp_period
     return (
         f"; {factor:.2f} × real time"

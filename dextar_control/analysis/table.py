@@ -11,23 +11,19 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.io import savemat
 
-from dextar_control.analysis.geometry import singularity_measure
 from dextar_control.analysis.run import Floats, Run, Stamps, seconds
 from dextar_control.analysis.timing import phase_name
-from dextar_control.analysis.tracking import tracked
+from dextar_control.analysis.tracking import singularity_measure, tracked
 from dextar_control.contract.errors import ParameterError, bag_errors, lacking
 from dextar_control.contract.robot import JOINT_NAMES, flatten
 from dextar_control.contract.topics import PHASES
 from dextar_control.control.verdicts import Verdict
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 Numbers = Floats | Stamps
 Scalar = TypeVar("Scalar", np.float64, np.int64)
@@ -335,12 +331,11 @@ def export(
                 files.append(file)
         if "csv" in formats:
             files.append(folder / "columns.json")
-            files[-1].write_text(
-                json.dumps(
-                    {name: _describe(sheet) for name, sheet in tables.items()}, indent=1
-                )
-                + "\n"
-            )
+            described = {
+                name: {field.name: field.about() for field in table.fields}
+                for name, table in tables.items()
+            }
+            files[-1].write_text(json.dumps(described, indent=1) + "\n")
     return files
 
 
@@ -452,34 +447,23 @@ def _plain(values: Numbers) -> tuple[Numbers, NDArray[np.bool_]]:
     return data, np.ma.getmaskarray(values) | np.isnan(data)
 
 
-def _describe(sheet: Sheet) -> dict[str, dict[str, str]]:
-    return {field.name: field.about() for field in sheet.fields}
-
-
-def _arrow(sheet: Sheet) -> pa.Table:
+def _write_parquet(sheet: Sheet, file: Path) -> None:
     import pyarrow as pa
+    import pyarrow.parquet
 
     arrays, schema = [], []
     for field in sheet.fields:
         if isinstance(field.values, Words):
             codes = pa.array(field.values.codes, mask=field.values.codes < 0)
-            arrays.append(
-                pa.DictionaryArray.from_arrays(
-                    codes, pa.array(field.values.names, type=pa.string())
-                )
-            )
+            names = pa.array(field.values.names, type=pa.string())
+            arrays.append(pa.DictionaryArray.from_arrays(codes, names))
         else:
             data, mask = _plain(field.values)
             arrays.append(pa.array(np.ascontiguousarray(data), mask=mask))
         schema.append(pa.field(field.name, arrays[-1].type, metadata=field.about()))
-    return pa.Table.from_arrays(arrays, schema=pa.schema(schema, metadata=sheet.about))
-
-
-def _write_parquet(sheet: Sheet, file: Path) -> None:
-    import pyarrow.parquet
-
+    table = pa.Table.from_arrays(arrays, schema=pa.schema(schema, metadata=sheet.about))
     with file.open("wb") as stream:  # pyarrow takes no name that is not UTF-8
-        pyarrow.parquet.write_table(_arrow(sheet), stream, compression="zstd")
+        pyarrow.parquet.write_table(table, stream, compression="zstd")
 
 
 def _write_csv(sheet: Sheet, file: Path) -> None:

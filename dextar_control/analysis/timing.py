@@ -49,15 +49,9 @@ class Spread:
         finite = values[np.isfinite(values)]
         if len(finite) == 0:
             return Spread(0, *(math.nan,) * 5)
-        middle, p95, p99 = np.percentile(finite, (50.0, 95.0, 99.0))
-        return Spread(
-            len(finite),
-            float(middle),
-            float(p95),
-            float(p99),
-            float(finite.max()),
-            float(finite.std()),
-        )
+        middle, p95, p99 = np.percentile(finite, (50.0, 95.0, 99.0)).tolist()
+        largest, deviation = float(finite.max()), float(finite.std())
+        return Spread(len(finite), middle, p95, p99, largest, deviation)
 
 
 @dataclass(frozen=True)
@@ -244,7 +238,7 @@ def measure_timing(run: Run, track: Tracked | None) -> Timing:
     stamp_period = (
         float(np.median(np.diff(asked))) * 1e-9 if len(asked) > 1 else math.nan
     )
-    waits = lockstep(run)
+    waits, late = lockstep(run), int(missed.sum()) + int((trips > stamp_period).sum())
     return Timing(
         lockstep=waits,
         state_period=Spread.of(periods(run.states, asked, run.holes)),
@@ -253,13 +247,7 @@ def measure_timing(run: Run, track: Tracked | None) -> Timing:
         stamp_period=stamp_period,
         missed_runs=lengths,
         longest_miss=max(lengths, default=0),
-        late_share=(
-            math.nan
-            if waits is not False or len(trips) == 0
-            else float(
-                (int(missed.sum()) + int((trips > stamp_period).sum())) / len(asked)
-            )
-        ),
+        late_share=late / len(asked) if waits is False and len(trips) else math.nan,
     )
 
 

@@ -10,9 +10,10 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from dextar_control.analysis.geometry import singularity_measure
 from dextar_control.analysis.run import Floats, Phase, Run, Stamps, seconds
+from dextar_control.contract.robot import RobotParameters
 from dextar_control.planning.certificate import Certificate, measure
+from dextar_control.planning.model import states_model
 from dextar_control.planning.trajectory import quintic
 
 
@@ -40,6 +41,22 @@ class Tracked:
     torque_time: Floats
     torque: Floats
     torque_s: Floats
+
+
+def singularity_measure(robot: RobotParameters, x: Floats, q_a: Floats) -> Floats:
+    """Compute s, the sine of the angle from the left to the right distal link.
+
+    Args:
+        robot: as described.
+        x: (m, n) end effector, m.
+        q_a: (m, n) active joints, rad.
+
+    Returns:
+        (m,) 1.
+    """
+    model = states_model(robot)
+    s: Floats = model.library.batch("state")(model.p, q_a, x, np.zeros(model.n)).s[:, 0]
+    return s
 
 
 Result = TypeVar("Result")

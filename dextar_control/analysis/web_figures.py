@@ -55,22 +55,12 @@ def over_time(
         series = []
         for curve in panel.curves:
             rows = thin(curve.time, curve.values, instants)
-            line = (
-                RUNS[int(curve.kind) % len(RUNS)]
-                if names
-                else LINES[curve.kind, curve.part]
-            )
-            tag = run_tag(int(curve.kind)) if names else f"{panel.key} {curve.name}"
-            series.append(
-                _series(
-                    curve.time[rows],
-                    curve.values[rows],
-                    line,
-                    curve.name,
-                    tag,
-                    legend=not names,
-                )
-            )
+            time, values = curve.time[rows], curve.values[rows]
+            if names:
+                line, tag = RUNS[int(curve.kind) % len(RUNS)], run_tag(int(curve.kind))
+            else:
+                line, tag = LINES[curve.kind, curve.part], f"{panel.key} {curve.name}"
+            series.append(_series(time, values, line, curve.name, tag, not names))
         rules = [_rule("x", instants, INSTANT)]
         if math.isfinite(panel.limit) and panel.limit < panel.high:
             rules.append(_rule("y", [-panel.limit, panel.limit], LINES["limit", 0]))
@@ -193,10 +183,8 @@ def in_plane(planes: Sequence[Plane], names: Sequence[str] = ()) -> WebFigure:
         )
     for name, point in plane.ends:
         series.append(_marks(point[None], "o", MARK, 3.0, name, [name], fill="ink"))
-    low, high = (
-        np.min([one.low for one in planes], axis=0),
-        np.max([one.high for one in planes], axis=0),
-    )
+    low = np.min([one.low for one in planes], axis=0)
+    high = np.max([one.high for one in planes], axis=0)
     return {
         "label": "",
         "xlabel": f"{style.label('x')}, {style.label('y')} upwards",
@@ -219,14 +207,10 @@ def histogram(values: Floats, label: str, unit: float = 1e6) -> WebFigure:
         np.log10(good), bins=BINS, range=(low, max(high, low + 0.25))
     )
     edges, some = 10.0**edges, counts > 0
-    bars = _series(
-        edges[:-1][some],
-        np.full(int(some.sum()), 0.7),
-        Line("mid"),
-        "count",
-        legend=False,
+    under = np.full(int(some.sum()), 0.7)
+    bars = _bars(
+        edges[:-1][some], under, edges[1:][some], counts[some], Line("mid"), "count"
     )
-    bars |= {"x2": _packed(edges[1:][some]), "y2": _packed(counts[some]), "fill": True}
     rules = [
         _rule("x", [float(np.percentile(good, percent))], Line("bad", dash, 1.6))
         for percent, dash in ((50.0, ()), (99.0, style.DASHED))
@@ -297,24 +281,10 @@ def phase_band(spans: Sequence[PhaseSpan]) -> WebFigure:
     series = []
     for row, name in enumerate(names):
         own = [span for span in spans if span.phase == name]
-        left, right = (
-            np.array([span.start for span in own]),
-            np.array([max(span.end, span.start + 1e-3) for span in own]),
-        )
-        bars = _series(
-            left,
-            np.full(len(own), row - 0.3),
-            Line(PHASE_LINES.get(name, "link")),
-            name,
-        )
-        series.append(
-            bars
-            | {
-                "x2": _packed(right),
-                "y2": _packed(np.full(len(own), row + 0.3)),
-                "fill": True,
-            }
-        )
+        left = np.array([span.start for span in own])
+        right = np.array([max(span.end, span.start + 1e-3) for span in own])
+        under, line = np.full(len(own), row), Line(PHASE_LINES.get(name, "link"))
+        series.append(_bars(left, under - 0.3, right, under + 0.3, line, name))
     ends = [span.start for span in spans] + [span.end for span in spans]
     return {
         "label": "",
@@ -344,6 +314,13 @@ def _series(
         "x": _packed(x),
         "y": _packed(y),
     }
+
+
+def _bars(
+    left: Floats, low: Floats, right: Floats, high: ArrayLike, line: Line, name: str
+) -> dict[str, object]:
+    more = {"x2": _packed(right), "y2": _packed(high), "fill": True}
+    return _series(left, low, line, name) | more
 
 
 def _marks(

@@ -69,28 +69,14 @@ def opened(files: Sequence[Path]) -> Iterator[list[Opened]]:
                 raise BagError(f"{file} is empty")
             packed = start.startswith(ZSTD)
             if packed or (start.startswith(SQLITE) and file.suffix != SQLITE_SUFFIX):
-                folder = Path(
-                    stack.enter_context(tempfile.TemporaryDirectory(prefix="dextar-"))
+                folder = stack.enter_context(
+                    tempfile.TemporaryDirectory(prefix="dextar-")
                 )
-                content = folder / f"content{SQLITE_SUFFIX}"
-            if content is not file and not packed:
-                content.symlink_to(file.absolute())
-            elif packed:
-                try:
-                    unpack(file, content)
-                except OSError as error:
-                    why = error.strerror or error
-                    text = (
-                        f"cannot unpack {file} into {tempfile.gettempdir()} (set TMPDIR"
-                        f" to name another): {why}"
-                    )
-                    raise BagError(text) from error
-                start = _start(content)
-                if not start:
-                    raise BagError(
-                        f"{file} is compressed with zstd and breaks off or is damaged"
-                        " before its first bytes"
-                    )
+                content = Path(folder) / f"content{SQLITE_SUFFIX}"
+                if packed:
+                    start = _unpacked(file, content)
+                else:
+                    content.symlink_to(file.absolute())
             storage = next(
                 (magic for magic in (MAGIC, SQLITE) if start.startswith(magic)), None
             )
@@ -99,6 +85,24 @@ def opened(files: Sequence[Path]) -> Iterator[list[Opened]]:
                 raise BagError(f"{file} is not an MCAP file, nor a sqlite3 bag")
             found.append(Opened(file, content, storage))
         yield found
+
+
+def _unpacked(file: Path, content: Path) -> bytes:
+    """Unpack a file and return its first bytes."""
+    try:
+        unpack(file, content)
+    except OSError as error:
+        why = error.strerror or error
+        raise BagError(
+            f"cannot unpack {file} into {tempfile.gettempdir()} (set TMPDIR to name"
+            f" another): {why}"
+        ) from error
+    if start := _start(content):
+        return start
+    raise BagError(
+        f"{file} is compressed with zstd and breaks off or is damaged before its first"
+        " bytes"
+    )
 
 
 def _start(file: Path) -> bytes:

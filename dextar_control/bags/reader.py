@@ -152,7 +152,6 @@ class Bag:
     def _names(
         self, topic: Topic, resolved: Mapping[str, str], namespace: str | None
     ) -> list[str]:
-        """List the names that a topic may have here."""
         if topic.name in resolved:
             return [resolved[topic.name]]
         if topic.name.startswith("/") or namespace is not None:

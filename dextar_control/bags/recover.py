@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -45,32 +45,18 @@ from dextar_control.contract.errors import BagError, bag_errors
 SUFFIX = "-recovered"
 # Of a QoS profile in rosbag2's order: a type, or the words for the numbers of rmw that
 # stand there before version 9.
-QOS_KEYS: dict[str, type | tuple[str, ...]] = {
-    "history": ("system_default", "keep_last", "keep_all", "unknown"),
+QOS_KEYS: dict[str, type | list[str]] = {
+    "history": "system_default keep_last keep_all unknown".split(),
     "depth": int,
-    "reliability": (
-        "system_default",
-        "reliable",
-        "best_effort",
-        "unknown",
-        "best_available",
-    ),
+    "reliability": "system_default reliable best_effort unknown best_available".split(),
     "durability": (
-        "system_default",
-        "transient_local",
-        "volatile",
-        "unknown",
-        "best_available",
+        "system_default transient_local volatile unknown best_available".split()
     ),
     "deadline": dict,
     "lifespan": dict,
     "liveliness": (
-        "system_default",
-        "automatic",
-        "manual_by_node",
-        "manual_by_topic",
-        "unknown",
-        "best_available",
+        "system_default automatic manual_by_node manual_by_topic unknown"
+        " best_available".split()
     ),
     "liveliness_lease_duration": dict,
     "avoid_ros_namespace_conventions": bool,
@@ -217,7 +203,6 @@ def _wrong_counts(folder: Path, files: Sequence[Path], counts: Sequence[int]) ->
 
 
 def _look(scan: Scan, progress: Progress | None) -> _Content:
-    """Count the messages of a file, and those that can be copied."""
     ours: dict[int, bool] = {}
     schemas: set[int] = set()
     messages = copied = damaged = 0
@@ -229,19 +214,28 @@ def _look(scan: Scan, progress: Progress | None) -> _Content:
                 record.message_encoding == "cdr" and record.schema_id in schemas
             )
         elif isinstance(record, Messages):
-            numbers = iter(record.numbers)
-            for channel, _, _, _, begin, end in zip(
-                *[numbers] * PER_MESSAGE, strict=True
-            ):
+            for channel, _, _, _, data, _ in _unpacked(record):
+                known = ours.get(channel)
                 messages += 1
-                good = ours.get(channel)
-                if good and record.data[begin : begin + len(ZSTD)] == ZSTD:
-                    good = (
-                        None if unpack_message(record.data[begin:end]) is None else True
-                    )
-                copied += good is True
-                damaged += good is None
+                copied += known is True and data is not None
+                damaged += known is None or (known and data is None)
     return _Content(messages, copied, damaged)
+
+
+def _unpacked(
+    batch: Messages,
+) -> Iterator[tuple[int, int, int, int, bytes | None, bool]]:
+    """Yield channel, sequence, log and publish time (ns) and content of each message,
+    and whether it was compressed by itself; None for content that is damaged.
+    """
+    numbers = iter(batch.numbers)
+    for channel, sequence, log_time, publish_time, begin, end in zip(
+        *[numbers] * PER_MESSAGE, strict=True
+    ):
+        data = batch.data[begin:end]
+        packed = data.startswith(ZSTD)
+        content = unpack_message(data) if packed else data
+        yield channel, sequence, log_time, publish_time, content, packed
 
 
 def _rebuild(
@@ -281,7 +275,7 @@ def _rebuild(
         result.holes += scan.holes
         for name, count in summary.counts.items():
             result.counts[name] = result.counts.get(name, 0) + count
-    filled = [summary for summary in summaries if sum(summary.counts.values())]
+    filled = [summary for summary in summaries if any(summary.counts.values())]
     if not filled:
         left = "; ".join(f"messages of {name}: {why}" for name, why in result.left_out)
         what = f"message of a ROS 2 topic ({left})" if left else "complete message"
@@ -311,9 +305,8 @@ def _copy(
     others: dict[int, tuple[str, str]] = {}
     for record in scan.records(progress):
         if isinstance(record, Messages):
-            numbers = iter(record.numbers)
-            for channel, sequence, log_time, publish_time, begin, end in zip(
-                *[numbers] * PER_MESSAGE, strict=True
+            for channel, sequence, log_time, publish_time, data, packed in _unpacked(
+                record
             ):
                 if channel not in channels:
                     unknown = (
@@ -322,26 +315,15 @@ def _copy(
                     )
                     result.leave_out(*others.get(channel, unknown), 1)
                     continue
-                data: bytes | None = record.data[begin:end]
-                if record.data[begin : begin + len(ZSTD)] == ZSTD:
-                    data = unpack_message(record.data[begin:end])
-                    result.unpacked += data is not None
+                topic = channels[channel]
                 if data is None:
-                    result.leave_out(
-                        channels[channel], "their compressed content is damaged", 1
-                    )
-                else:
-                    target.write(
-                        [
-                            SerializedMessage(
-                                log_time,
-                                channels[channel],
-                                publish_time,
-                                sequence,
-                                data,
-                            )
-                        ]
-                    )
+                    result.leave_out(topic, "their compressed content is damaged", 1)
+                    continue
+                result.unpacked += packed
+                message = SerializedMessage(
+                    log_time, topic, publish_time, sequence, data
+                )
+                target.write([message])
         elif isinstance(record, Schema):
             schemas[record.id] = record
         elif isinstance(record, Channel) and record.id not in channels:
@@ -355,18 +337,14 @@ def _copy(
                 others[record.id] = record.topic, f"it is no ROS 2 topic, {why}"
                 result.leave_out(*others[record.id])
                 continue
-            topic = _topic(record, schema)
-            if topics.setdefault(topic.name, topic).type != topic.type:
-                others[record.id] = (
-                    topic.name,
-                    (
-                        f"it is a {topics[topic.name].type} before, and a {topic.type}"
-                        " here"
-                    ),
-                )
+            found = _topic(record, schema)
+            before = topics.setdefault(found.name, found).type
+            if before != found.type:
+                why = f"it is a {before} before, and a {found.type} here"
+                others[record.id] = found.name, why
                 continue
-            channels[record.id] = topic.name
-            target.register(topic)
+            channels[record.id] = found.name
+            target.register(found)
         elif isinstance(record, Metadata) and record.name != RECORD_NAME:
             target.add_metadata(record.name, record.metadata)
         elif isinstance(record, Attachment):
@@ -375,13 +353,11 @@ def _copy(
 
 def _topic(channel: Channel, schema: Schema) -> TopicDescription:
     details: Mapping[str, str] = channel.metadata
-    qos = _profiles(details.get("offered_qos_profiles", ""))
-    text = schema.data.decode("utf-8", errors="replace")
     return TopicDescription(
         channel.topic,
         schema.name,
-        qos,
-        text,
+        _profiles(details.get("offered_qos_profiles", "")),
+        schema.data.decode("utf-8", errors="replace"),
         details.get("topic_type_hash", ""),
         schema.encoding,
     )
@@ -409,7 +385,7 @@ def _profile(profile: object) -> Qos | None:
     found: dict[str, object] = {}
     for key, kind in QOS_KEYS.items():
         value = profile.get(key)
-        if isinstance(kind, tuple):
+        if isinstance(kind, list):
             value = (
                 kind[value] if type(value) is int and 0 <= value < len(kind) else value
             )

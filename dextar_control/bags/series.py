@@ -295,7 +295,6 @@ class Series:
         )
 
     def _message(self, data: bytes) -> object | None:
-        """Decode a message; None where the bytes are none, which is counted."""
         try:
             message: object = read_message(data, self.type)
             return message

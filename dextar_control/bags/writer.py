@@ -288,7 +288,6 @@ class BagWriter:
                 self._drop(sample)
 
     def _is_due(self, log_time: int) -> bool:
-        """Tell whether the next message begins a new file."""
         file = self._file
         if not file.first:
             return False

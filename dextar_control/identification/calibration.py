@@ -139,32 +139,19 @@ class Calibration:
     @property
     def quantities(self) -> list[Quantity]:
         """The description's geometry, number by number."""
-        before, after = numbers_of(self.before), self.fit.numbers
         deviations = np.sqrt(np.maximum(np.diag(self.fit.covariance), 0.0))
-        geometry = [
-            Quantity(
-                one.name,
-                one.unit,
-                float(before[row]),
-                float(after[row]),
-                float(deviations[row]),
-            )
-            for one in EVERY
-            for row in [NAMES.index(one.name)]
-        ]
-        pairs = zip(SIDES, self.before.legs, self.after.legs, strict=True)
-        return geometry + [
-            Quantity(
-                f"{side}.transmission_stiffness",
-                "N m/rad",
-                was.transmission_stiffness,
-                value,
-                float(deviations[NAMES.index(f"{side}.{COMPLIANCE}")]) * value**2,
-            )
-            for side, was, now in pairs
-            for value in [now.transmission_stiffness]
-            if value != was.transmission_stiffness
-        ]
+        columns = numbers_of(self.before), self.fit.numbers, deviations
+        rows = dict(zip(NAMES, np.column_stack(columns).tolist(), strict=True))
+        found = [Quantity(one.name, one.unit, *rows[one.name]) for one in EVERY]
+        for side, was, now in zip(
+            SIDES, self.before.legs, self.after.legs, strict=True
+        ):
+            name, before = f"{side}.transmission_stiffness", was.transmission_stiffness
+            value = now.transmission_stiffness
+            if value != before:
+                sure = rows[f"{side}.{COMPLIANCE}"][2] * value**2
+                found.append(Quantity(name, "N m/rad", before, value, sure))
+        return found
 
     @property
     def folded_told(self) -> bool:
@@ -402,11 +389,6 @@ def _check_enough(
 def _check_agree(
     linkage: Linkage, numbers: Array, recordings: Sequence[CalibrationData], found: Fit
 ) -> None:
-    """Check that several recordings are of one robot.
-
-    Raises:
-        CalibrationError: they contradict each other.
-    """
     which = np.array([fold.bag for recording in recordings for fold in recording.folds])
     for bag, recording in enumerate(recordings if len(recordings) > 1 else []):
         wanted = directions_of(recording.folds, None)
@@ -450,11 +432,6 @@ def _check_places(found: Fit, places: Places | None) -> None:
 
 
 def _check_told(found: Fit) -> None:
-    """Check that each quantity is told well enough to be of use.
-
-    Raises:
-        CalibrationError: one is not.
-    """
     vague = [
         (
             f"{direction.name} to +-{1e3 * deviation:.2g} {UNITS[direction.unit][0]}"
@@ -465,24 +442,15 @@ def _check_told(found: Fit) -> None:
         if not deviation <= WIDEST[direction.unit]
     ]
     if vague:
-        x = np.array(
-            [
-                one.x
-                for one, used in zip(found.touches, found.used, strict=True)
-                if used and np.isfinite(one.gap)
-            ]
-        )
-        low, high = (
-            1e3 * np.array([x.min(axis=0), x.max(axis=0)])
-            if len(x)
-            else np.zeros((2, 2))
-        )
-        where = (
-            f", at x = {low[0]:.0f} to {high[0]:.0f} mm, y = {low[1]:.0f} to"
-            f" {high[1]:.0f} mm,"
-            if len(x)
-            else ""
-        )
+        known = found.used & np.isfinite(found.gaps)
+        x = 1e3 * np.array([one.x for one in found.touches]).reshape(-1, 2)[known]
+        where = ""
+        if len(x):
+            low, high = x.min(axis=0), x.max(axis=0)
+            where = (
+                f", at x = {low[0]:.0f} to {high[0]:.0f} mm, y = {low[1]:.0f} to"
+                f" {high[1]:.0f} mm,"
+            )
         raise CalibrationError(
             f"{len(x)} crossings{where} tell {'; '.join(vague)}; {1e3 * WIDEST['m']:g}"
             f" mm and {1e3 * WIDEST['rad']:g} mrad are needed:"
@@ -503,11 +471,6 @@ def _encoders(found: Fit) -> str:
 
 
 def _check_explained(found: Fit, gaps: Array) -> None:
-    """Check that one geometry explains the recordings.
-
-    Raises:
-        CalibrationError: none does.
-    """
     used, count = int(found.used.sum()), len(gaps)
     rms = rms_of(gaps[found.used])
     none_spare = not found.places and used <= len(found.directions)
@@ -522,11 +485,6 @@ def _check_explained(found: Fit, gaps: Array) -> None:
 
 
 def _check_bounds(robot: RobotParameters, found: Fit) -> None:
-    """Check that the result is the described robot, a little changed.
-
-    Raises:
-        CalibrationError: it is another one.
-    """
     moved = found.numbers - numbers_of(robot)
     for direction in EVERY:
         change = float(moved[NAMES.index(direction.name)])
@@ -557,7 +515,6 @@ def _plain(numbers: Array, found: Fit) -> Array:
 
 
 def _kept(numbers: Array, wanted: Sequence[Direction]) -> list[str]:
-    """Say what these quantities leave open."""
     if len(wanted) == len(EVERY):
         return []
     value = dict(zip(NAMES, numbers, strict=True))

@@ -76,7 +76,7 @@ class DynamicFit:
         combinations: that are told.
         bound: names of numbers that would lie beyond their bound and were kept on it.
         delay, delay_deviation: from command to drive, s, per motion.
-        time: (m,) s of the instants, of motion ``which`` (m,).
+        which: (m,) motion of each instant.
         torque: (m, n) commanded then, N m.
         rates: (m, n) of the joints, rad/s.
         rest_before, rest: (m, n) of the torques, by the description and by what was
@@ -93,13 +93,23 @@ class DynamicFit:
     bound: tuple[str, ...]
     delay: Array
     delay_deviation: Array
-    time: Array
     which: NDArray[np.int64]
     torque: Array
     rates: Array
     rest_before: Array
     rest: Array
     used: NDArray[np.bool_]
+
+    @property
+    def alone(self) -> NDArray[np.bool_]:
+        """(k,) whether a number is told by itself."""
+        return np.asarray(self.deviations <= ALONE * self.prior)
+
+    @property
+    def combined(self) -> NDArray[np.bool_]:
+        """(k,) whether a number is part of a combination that is told."""
+        factors = [one.factors for one in self.combinations]
+        return np.any(factors, axis=0) if factors else np.zeros(len(self.prior), bool)
 
     def value(self, name: str) -> tuple[float, float]:
         """Return (value, standard deviation) of a number."""
@@ -238,14 +248,9 @@ def fit_dynamics(robot: RobotParameters, motions: Sequence[SmoothMotion]) -> Dyn
         combinations=_combinations(
             unknowns, flat[:, :k], prior[:k], before, numbers, covariance[:k, :k]
         ),
-        bound=tuple(
-            one.name
-            for one, is_beyond in zip(unknowns, beyond, strict=True)
-            if is_beyond
-        ),
+        bound=tuple(unknowns[row].name for row in np.flatnonzero(beyond)),
         delay=delay,
         delay_deviation=deviations[k:],
-        time=time,
         which=which,
         torque=np.concatenate([motion.filtered(motion.tau) for motion in motions]),
         rates=np.concatenate([motion.rates for motion in motions]),
@@ -284,11 +289,9 @@ def _combinations(
     base, across = list[int](), np.zeros((len(R), 0))
     for column in reversed(range(len(prior))):
         own = R[:, column] - across @ (across.T @ R[:, column])
-        if np.linalg.norm(own) >= 1.0 / TOLD:
-            base, across = (
-                [column, *base],
-                np.column_stack([across, own / np.linalg.norm(own)]),
-            )
+        if (size := np.linalg.norm(own)) >= 1.0 / TOLD:
+            base.insert(0, column)
+            across = np.column_stack([across, own / size])
     shares = np.linalg.lstsq(R[:, base], R, rcond=None)[0]
     found = []
     for first, own_shares in zip(base, shares, strict=True):

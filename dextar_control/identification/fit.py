@@ -66,13 +66,9 @@ def _direction(name: str, unit: str, changes: dict[str, float]) -> Direction:
 
 
 def _single(name: str) -> Direction:
-    unit = (
-        "rad/(N m)"
-        if name.endswith(COMPLIANCE)
-        else "rad"
-        if "encoder" in name
-        else "m"
-    )
+    unit = "rad" if "encoder" in name else "m"
+    if name.endswith(COMPLIANCE):
+        unit = "rad/(N m)"
     return _direction(name, unit, {name: 1.0})
 
 
@@ -128,8 +124,6 @@ class Fit:
         used: per fold, whether it counts.
         encoder_error: standard deviation of the encoders' error once a turn, or by a
             tenth of a N m passed on, that was allowed for, rad.
-        unmodelled: standard deviation of the folds' gaps beside it and their samples'
-            scatter, m.
         place_noise: standard deviation of a seen coordinate, m; nan without places.
         places: how many count.
     """
@@ -142,7 +136,6 @@ class Fit:
     spreads: Array
     used: NDArray[np.bool_]
     encoder_error: float
-    unmodelled: float
     place_noise: float
     places: int
 
@@ -185,15 +178,11 @@ class _Problem:
     def at(self, numbers: Array) -> None:
         """Linearise about some numbers (16,)."""
         self.touches = [touch(self.linkage, numbers, fold) for fold in self.folds]
-        self.valid = np.array(
-            [np.isfinite(one.gap) for one in self.touches], dtype=bool
-        )
-        self.gaps = np.array(
-            [one.gap if np.isfinite(one.gap) else 0.0 for one in self.touches]
-        )
-        self.deviations = np.array(
-            [one.deviation if np.isfinite(one.gap) else 1.0 for one in self.touches]
-        )
+        gaps = np.array([one.gap for one in self.touches])
+        deviations = np.array([one.deviation for one in self.touches])
+        self.valid = np.isfinite(gaps)
+        self.gaps = np.where(self.valid, gaps, 0.0)
+        self.deviations = np.where(self.valid, deviations, 1.0)
         self.slopes = (
             np.array([one.gradient for one in self.touches]).reshape(-1, len(NAMES))
             @ self.along
@@ -218,13 +207,11 @@ class _Problem:
 
     def size(self) -> float:
         """Return the standard deviation of most gaps, m."""
-        return max(
-            (
-                MEDIAN * float(np.median(np.abs(self.gaps[self.valid])))
-                if self.valid.any()
-                else 0.0
-            ),
-            LEAST_SIZE,
+        gaps = np.abs(self.gaps[self.valid])
+        return (
+            max(MEDIAN * float(np.median(gaps)), LEAST_SIZE)
+            if len(gaps)
+            else LEAST_SIZE
         )
 
     def step(self, weights: Array, moved: Array, hold: Array) -> tuple[Array, Array]:
@@ -372,7 +359,6 @@ def fit(
         spreads=spreads,
         used=used,
         encoder_error=encoder_error,
-        unmodelled=unmodelled,
         place_noise=problem.place_noise if places is not None else np.nan,
         places=int(problem.kept.sum()),
     )

@@ -107,24 +107,12 @@ def find_folds(
             if first is None or last is None:
                 continue
             rows = slice(first, last + 1)
-            middle, half = (
-                0.5 * (time[last] + time[first]),
-                0.5 * (time[last] - time[first]),
-            )
+            middle = 0.5 * (time[last] + time[first])
+            half = 0.5 * (time[last] - time[first])
             instants = (time[rows] - middle) / half
             smoother = np.asarray(np.linalg.pinv(_powers(instants)), dtype=np.float64)
-            found.append(
-                Fold(
-                    bag,
-                    family,
-                    float(middle),
-                    instants,
-                    readings[rows],
-                    passed[rows],
-                    smoother,
-                    working_mode,
-                )
-            )
+            samples = instants, readings[rows], passed[rows], smoother
+            found.append(Fold(bag, family, float(middle), *samples, working_mode))
     return sorted(found, key=lambda fold: fold.time)
 
 
@@ -157,11 +145,8 @@ def touch(linkage: Linkage, numbers: Array, fold: Fold) -> Touch:
     instant = 0.0
     for _ in range(STEPS):
         powers = _powers(np.array([instant]))[0]
-        E, E_dot, E_ddot = (
-            powers @ coefficients,
-            powers[:-1] @ slopes,
-            powers[:-2] @ bends,
-        )
+        E, E_dot = powers @ coefficients, powers[:-1] @ slopes
+        E_ddot = powers[:-2] @ bends
         bend = float(E_dot @ E_dot + E @ E_ddot)
         # the distance is largest where links are stretched, least where they are folded
         if bend * fold.family.value >= 0.0:

@@ -15,7 +15,6 @@ from dextar_control.analysis.run import Run
 from dextar_control.contract.errors import CalibrationError, ParameterError
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.identification.dynamics import (
-    ALONE,
     DynamicFit,
     fit_dynamics,
     rest_of,
@@ -108,42 +107,20 @@ class Identification:
     def quantities(self) -> list[Quantity]:
         """The description's masses and friction, number by number."""
         fit, found = self.fit, []
-        for one, before, after, deviation, prior in zip(
-            fit.unknowns,
-            fit.before,
-            fit.numbers,
-            fit.deviations,
-            fit.prior,
-            strict=True,
-        ):
-            alone = deviation <= ALONE * prior
-            kept = not alone and not any(
-                term.factors[fit.unknowns.index(one)] for term in fit.combinations
-            )
-            note = "" if alone or kept else "in combination"
-            found.append(
-                Quantity(
-                    one.name,
-                    one.unit,
-                    float(before),
-                    float(after),
-                    0.0 if kept else float(deviation),
-                    note,
-                )
-            )
+        for row, one in enumerate(fit.unknowns):
+            before, after = float(fit.before[row]), float(fit.numbers[row])
+            sure, note = float(fit.deviations[row]), ""
+            if not fit.alone[row] and fit.combined[row]:
+                note = "in combination"
+            elif not fit.alone[row]:
+                sure = 0.0
+            found.append(Quantity(one.name, one.unit, before, after, sure, note))
         for side, leg, told in zip(
             SIDES, self.before.legs, self.stiffnesses, strict=True
         ):
-            value, sure = (leg.transmission_stiffness, 0.0) if told is None else told
-            found.append(
-                Quantity(
-                    f"{side}.transmission_stiffness",
-                    "N m/rad",
-                    leg.transmission_stiffness,
-                    value,
-                    sure,
-                )
-            )
+            name, before = f"{side}.transmission_stiffness", leg.transmission_stiffness
+            after, sure = (before, 0.0) if told is None else told
+            found.append(Quantity(name, "N m/rad", before, after, sure))
         return found
 
 
@@ -283,11 +260,6 @@ def _too_little(motions: Sequence[SmoothMotion]) -> str:
 
 
 def _check_motion(motions: Sequence[SmoothMotion]) -> None:
-    """Check that the joints moved enough, and both ways.
-
-    Raises:
-        CalibrationError: there is not; says which joint lacks what.
-    """
     spans = np.max([motion.spans for motion in motions], axis=0)
     joint = int(spans.argmin())
     if spans[joint] < LEAST_SPAN:
@@ -313,11 +285,6 @@ def _check_motion(motions: Sequence[SmoothMotion]) -> None:
 def _check_agree(
     robot: RobotParameters, motions: Sequence[SmoothMotion], found: DynamicFit
 ) -> None:
-    """Check that several recordings are of one robot.
-
-    Raises:
-        CalibrationError: they contradict each other.
-    """
     for row, motion in enumerate(motions if len(motions) > 1 else []):
         if len(motion.tells) >= LEAST_INSTANTS:
             alone = np.median(np.abs(fit_dynamics(robot, [motion]).rest), axis=0)
@@ -337,11 +304,6 @@ def _check_agree(
 
 
 def _check_told(motions: Sequence[SmoothMotion], found: DynamicFit) -> None:
-    """Check that the torques tell the bodies, the motors' friction and gravity.
-
-    Raises:
-        CalibrationError: they do not; says which number lacks what.
-    """
     limits = {
         f"{side}.{name}": widest for side in SIDES for name, widest in WIDEST.items()
     }
@@ -372,11 +334,6 @@ def _check_told(motions: Sequence[SmoothMotion], found: DynamicFit) -> None:
 
 
 def _check_explained(motions: Sequence[SmoothMotion], found: DynamicFit) -> None:
-    """Check that the numbers explain the torques.
-
-    Raises:
-        CalibrationError: they do not.
-    """
     used = float(found.used.mean())
     shares = [
         rms_of(rest) / max(rms_of(torque), 1e-9)
@@ -394,11 +351,6 @@ def _check_explained(motions: Sequence[SmoothMotion], found: DynamicFit) -> None
 
 
 def _check_bounds(robot: RobotParameters, found: DynamicFit) -> None:
-    """Check that the result is the described robot, somewhat changed.
-
-    Raises:
-        CalibrationError: it is another one.
-    """
 
     def fail(what: str, limit: str) -> CalibrationError:
         return CalibrationError(
@@ -479,15 +431,12 @@ def _told(found: DynamicFit) -> list[str]:
 def _kept(
     robot: RobotParameters, found: DynamicFit, stiffnesses: Sequence[Stiffness | None]
 ) -> list[str]:
-    """Say what the recordings leave open."""
     kept, together = [], []
     for row, one in enumerate(found.unknowns):
-        if found.deviations[row] <= ALONE * found.prior[row]:
-            continue
         unit, scale = UNITS[one.unit]
-        if any(combination.factors[row] for combination in found.combinations):
-            together.append(one.name)
-        else:
+        if found.combined[row]:
+            together += [one.name] * (not found.alone[row])
+        elif not found.alone[row]:
             kept.append(
                 f"{one.name} is not told: it was kept at"
                 f" {scale * found.before[row]:.4f} {unit}."

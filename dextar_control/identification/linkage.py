@@ -45,23 +45,11 @@ class Linkage:
     """
 
     def __init__(self) -> None:
-        mechanism, g, reading, x = (
-            FiveBar(),
-            ca.SX.sym("numbers", len(NAMES)),
-            ca.SX.sym("reading", 2),
-            ca.SX.sym("x", 2),
-        )
-        passed = ca.SX.sym("passed", 2)
+        mechanism, g = FiveBar(), ca.SX.sym("numbers", len(NAMES))
+        reading, passed, x = (ca.SX.sym(name, 2) for name in ("reading", "passed", "x"))
+        names = [name.replace(".", "_") for name in PER_LEG]
         legs = [
-            Values(
-                **dict(
-                    zip(
-                        (name.replace(".", "_") for name in PER_LEG),
-                        ca.vertsplit(part),
-                        strict=True,
-                    )
-                )
-            )
+            Values(**dict(zip(names, ca.vertsplit(part), strict=True)))
             for part in ca.vertsplit(g, len(PER_LEG))
         ]
         for leg in legs:
@@ -86,17 +74,13 @@ class Linkage:
                 for elbow, leg in zip((left, right), legs, strict=True)
             )
         )
+        slopes = ca.jacobian(between, g)
         arguments = {"numbers": g, "reading": reading, "passed": passed}
         self.elbows = Batch(
             named(
                 "elbows",
                 arguments,
-                {
-                    "left": left,
-                    "between": between,
-                    "slopes": ca.jacobian(between, g),
-                    "u": u,
-                },
+                {"left": left, "between": between, "slopes": slopes, "u": u},
             )
         )
         self.closures = Batch(

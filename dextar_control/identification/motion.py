@@ -32,6 +32,10 @@ LEAST_S = 0.2
 LEAST_RATE = 0.1  # rad/s of each joint, below which friction has no sure sign
 GAP = 3.5  # periods without a state that end a stretch
 SHORTEST = 0.3  # s of a stretch
+NOTHING = {"time": np.zeros(0)} | dict.fromkeys(
+    "q_a q_a_ddot x x_dot x_ddot tau smooth_tau tau_dot".split(), np.zeros((0, 2))
+)
+"""A stretch without an instant."""
 EXCITE = "record dextar demo --lockstep --excite (on a rig the task excite:=20)"
 
 
@@ -108,7 +112,7 @@ def motion_of(robot: RobotParameters, recorded: MeasuredMotion) -> SmoothMotion:
         max(round(WINDOW / period), 1),
         round(SHORTEST / period),
     )
-    parts: list[dict[str, Array]] = []
+    parts: list[dict[str, Array]] = [NOTHING]
     stretches: list[slice[int, int, None]] = []
     end = 0
     tells, rates = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))]
@@ -138,22 +142,7 @@ def motion_of(robot: RobotParameters, recorded: MeasuredMotion) -> SmoothMotion:
             tells.append(end + inner)
             rates.append(found.rates[own[inner]])
             end += len(own)
-    joined = {
-        name: np.concatenate(
-            [np.zeros((0, 2) if name != "time" else 0), *(part[name] for part in parts)]
-        )
-        for name in (
-            "time",
-            "q_a",
-            "q_a_ddot",
-            "x",
-            "x_dot",
-            "x_ddot",
-            "tau",
-            "smooth_tau",
-            "tau_dot",
-        )
-    }
+    joined = {name: np.concatenate([one[name] for one in parts]) for name in NOTHING}
     return SmoothMotion(
         recorded=recorded,
         stretches=tuple(stretches),

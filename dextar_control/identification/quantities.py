@@ -89,6 +89,7 @@ def write_robot(robot: RobotParameters, lines: Iterable[str], file: Path) -> Non
     flat = {
         key: value for key, value in flatten(robot).items() if key != "base_distance"
     }
+    file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(
         "".join(f"# {' '.join(line.split())}\n" for line in lines) + robot_text(flat),
         encoding="utf-8",

@@ -14,7 +14,6 @@ from dextar_control.analysis.page import Cell, Column, render
 from dextar_control.analysis.registry import number
 from dextar_control.analysis.web_figures import residuals
 from dextar_control.contract.errors import bag_errors
-from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.words import counted
 from dextar_control.identification.calibration import (
     MOST_GAP,
@@ -65,31 +64,9 @@ def write_calibration(
         BagError: they cannot be written.
     """
     page = render_calibration(calibration, predictions)
-    write_results(
-        calibration.after,
-        robot_lines(calibration),
-        page,
-        folder / ROBOT_FILE,
-        folder / PAGE_FILE,
-    )
-
-
-def write_results(
-    robot: RobotParameters,
-    lines: Sequence[str],
-    page: str,
-    robot_file: Path,
-    page_file: Path,
-) -> None:
-    """Write a description and its page.
-
-    Raises:
-        BagError: they cannot be written.
-    """
-    with bag_errors(f"write the results to {robot_file.parent}"):
-        robot_file.parent.mkdir(parents=True, exist_ok=True)
-        write_robot(robot, lines, robot_file)
-        page_file.write_text(page, encoding="utf-8", errors="replace")
+    with bag_errors(f"write the results to {folder}"):
+        write_robot(calibration.after, robot_lines(calibration), folder / ROBOT_FILE)
+        (folder / PAGE_FILE).write_text(page, encoding="utf-8", errors="replace")
 
 
 def short_name(bag: Path) -> str:
@@ -142,16 +119,18 @@ def fit_in_words(calibration: Calibration) -> str:
     """Say how well the folds, and the places, are explained."""
     fit, used = calibration.fit, calibration.fit.used
     before, after = (
-        float(np.sqrt(np.nanmean(np.square(gaps[used])))) if used.any() else np.nan
-        for gaps in (calibration.gaps_before, calibration.gaps_after)
+        rms_of(gaps[used]) for gaps in (calibration.gaps_before, calibration.gaps_after)
     )
     text = (
         f"{counted(int(used.sum()), 'crossing')} with gaps of"
-        f" {number(UM * before, '.0f')} um RMS before, {number(UM * after, '.2f')} um"
-        " after"
+        f" {number(UM * before, '.0f')} um RMS before and {number(UM * after, '.2f')}"
+        " um after"
     )
     if others := len(used) - int(used.sum()):
-        text += f" ({others} more left out, as where a robot turns before it crosses)"
+        text += (
+            f"; {counted(others, 'outlier')} left out, as where a robot turns back"
+            " before it crosses"
+        )
     if fit.places:
         text += f"; {fit.places} poses with {MM * fit.place_noise:.3f} mm of noise"
     if fit.encoder_error:
@@ -168,38 +147,30 @@ def render_calibration(
     """Render the page of a calibration."""
     fit, folds = calibration.fit, calibration.folds
     figures = {
-        "before": residuals(
-            UM * calibration.gaps_before,
-            0.0 * fit.spreads,
-            fit.used,
-            "gap before (µm)",
-            "crossing",
-        ),
-        "after": residuals(
-            UM * calibration.gaps_after,
-            UM * fit.spreads,
-            fit.used,
-            "gap after (µm)",
-            "crossing",
-        ),
-    }
-    rows: list[list[Cell]] = []
-    for index, (fold, one, used) in enumerate(
-        zip(folds, fit.touches, fit.used, strict=True)
-    ):
-        rows.append(
-            [
-                Cell(str(index + 1)),
-                Cell(short_name(calibration.recordings[fold.bag].path)),
-                Cell(f"{fold.time:.3f}"),
-                Cell(fold.family.name.lower()),
-                *(Cell(number(MM * value, ".2f")) for value in one.x),
-                Cell(number(UM * calibration.gaps_before[index], ".1f")),
-                Cell(number(UM * calibration.gaps_after[index], ".2f")),
-                Cell(number(UM * fit.spreads[index], ".2f")),
-                Cell("yes" if used else "no", not used),
-            ]
+        when: residuals(
+            UM * gaps, UM * spreads, fit.used, f"gap {when} (µm)", "crossing"
         )
+        for when, gaps, spreads in (
+            ("before", calibration.gaps_before, 0.0 * fit.spreads),
+            ("after", calibration.gaps_after, fit.spreads),
+        )
+    }
+    rows = [
+        [
+            Cell(str(index + 1)),
+            Cell(short_name(calibration.recordings[fold.bag].path)),
+            Cell(f"{fold.time:.3f}"),
+            Cell(fold.family.name.lower()),
+            *(Cell(number(MM * value, ".2f")) for value in one.x),
+            Cell(number(UM * calibration.gaps_before[index], ".1f")),
+            Cell(number(UM * calibration.gaps_after[index], ".2f")),
+            Cell(number(UM * fit.spreads[index], ".2f")),
+            Cell("yes" if used else "no", not used),
+        ]
+        for index, (fold, one, used) in enumerate(
+            zip(folds, fit.touches, fit.used, strict=True)
+        )
+    ]
     checked = [
         [
             Cell(str(one.path)),
@@ -283,14 +254,14 @@ def write_identification(
     Raises:
         BagError: they cannot be written.
     """
-    page = render_identification(identification, predictions)
-    write_results(
-        identification.after,
+    page, lines = (
+        render_identification(identification, predictions),
         identified_lines(identification),
-        page,
-        folder / IDENTIFIED_FILE,
-        folder / IDENTIFICATION_FILE,
     )
+    with bag_errors(f"write the results to {folder}"):
+        write_robot(identification.after, lines, folder / IDENTIFIED_FILE)
+        file = folder / IDENTIFICATION_FILE
+        file.write_text(page, encoding="utf-8", errors="replace")
 
 
 def torque_prediction_in_words(prediction: TorquePrediction) -> str:
@@ -307,8 +278,7 @@ def torque_prediction_in_words(prediction: TorquePrediction) -> str:
 
 def torque_fit_in_words(identification: Identification) -> str:
     """Say how well the torques are explained."""
-    fit = identification.fit
-    used = fit.used
+    fit, used = identification.fit, identification.fit.used
     before, after, torque = (
         MNM * rms_of(rows[used]) for rows in (fit.rest_before, fit.rest, fit.torque)
     )
@@ -318,8 +288,8 @@ def torque_fit_in_words(identification: Identification) -> str:
     )
     if others := len(used) - int(used.sum()):
         text += (
-            f" ({others} more left out, where friction turns round, a belt rings, or"
-            " the robot was pushed)"
+            f"; {counted(others, 'outlier')} left out, as where friction turns round, a"
+            " belt rings, or the robot was pushed"
         )
     return text
 
@@ -328,12 +298,8 @@ def render_identification(
     identification: Identification, predictions: Sequence[TorquePrediction]
 ) -> str:
     """Render the page of an identification."""
-    fit, names = (
-        identification.fit,
-        ", ".join(
-            short_name(motion.recorded.path) for motion in identification.motions
-        ),
-    )
+    fit = identification.fit
+    names = ", ".join(short_name(one.recorded.path) for one in identification.motions)
     none = np.zeros(len(fit.rest))
     figures = {
         f"{side}-{when}": residuals(

@@ -29,12 +29,12 @@ from synthetic_run import (
 
 from dextar_control.analysis.compute import compute_metrics
 from dextar_control.analysis.figure import draw_run
-from dextar_control.analysis.geometry import active_joints, singularity_measure
 from dextar_control.analysis.load import load_run
 from dextar_control.analysis.report import analyze, summary_table
 from dextar_control.analysis.run import Run
-from dextar_control.analysis.tracking import plan_of
+from dextar_control.analysis.tracking import plan_of, singularity_measure
 from dextar_control.planning.checks import SIDE, clear_times
+from dextar_control.planning.model import states_model
 
 INSTANT = 2.0e-6  # s: interpolation of a smooth s between ticks of 1 ms
 ROUNDING = 1.0e-12
@@ -53,7 +53,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 def test_s_is_zero_in_the_stretched_posture_and_positive_above_it() -> None:
     x = np.array([[0.0, LOCUS], [0.0, 0.105], [0.0, 0.06]])
-    s = singularity_measure(robot(), x, active_joints(robot(), x))
+    s = singularity_measure(robot(), x, states_model(robot()).sides(x).q_a)
     assert abs(s[0]) < ROUNDING
     assert abs(s[1]) > 0.1
     assert np.sign(s[1]) == -np.sign(s[2])

@@ -6,9 +6,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from test_planning_locus import sine
 
+from dextar_control.analysis.drawing import SCREEN, draw_places
 from dextar_control.analysis.plan_figure import draw_plan
+from dextar_control.analysis.plane import Place
 from dextar_control.contract.errors import (
     DextarError,
     GeometryError,
@@ -145,6 +148,16 @@ def test_progress_runs_from_nothing_to_all(robot: RobotParameters) -> None:
     assert fractions[0] == 0.0
     assert fractions[-1] == 1.0
     assert all(text for _, text in seen)
+
+
+def test_crossings_near_each_other_share_a_label() -> None:
+    axes, nothing = Figure().add_subplot(), np.full((2, 2), np.nan)
+    places = [
+        Place([number], np.array([x, 0.1]), nothing, "")
+        for number, x in ((1, 0.0), (2, 0.06), (3, 0.001))
+    ]
+    draw_places(axes, places, [], SCREEN)
+    assert [text.get_text() for text in axes.texts] == ["1, 3", "2"]
 
 
 def test_the_figure_shows_both_families_and_numbers_the_crossings(
