@@ -352,6 +352,20 @@ class OperatorClient(Node):
         recorder = self.status.get("recorder", {})
         return recorder.get("bag", "") if recorder.get("recording") == "True" else ""
 
+    def reset_plant(self) -> None:
+        """Put a simulated robot back to its start, at rest, and wait until the
+        controller tells of itself again.
+
+        Raises:
+            Unreached: there is none, or it refuses.
+        """
+        self.find("controller", "plant")
+        answer: Trigger.Response = self.call(Trigger, "plant/reset", Trigger.Request())
+        if not answer.success:
+            raise Unreached(answer.message)
+        since = time.monotonic()
+        self.until(lambda: self.heard_since("controller", since), SILENCE)
+
     def ask_controller(self, kind: type[object], name: str, request: object) -> str:
         """Have the controller do something at once; return its state afterwards, in
         words.
@@ -666,6 +680,9 @@ def enable(arguments: argparse.Namespace) -> int:
 
 def reset(arguments: argparse.Namespace) -> int:
     """Leave a fault or a safe stop; return the exit code."""
+    if arguments.plant:
+        with operator(arguments.namespace) as me:
+            me.reset_plant()
     return _ask_controller(arguments, Trigger, "reset", Trigger.Request())
 
 
