@@ -318,8 +318,8 @@ def torque_fit_in_words(identification: Identification) -> str:
     )
     if others := len(used) - int(used.sum()):
         text += (
-            f" ({others} more left out, where friction turns round, a belt rings, or"
-            " the robot was pushed)"
+            f" ({others} more left out, where friction turns round, a belt rings, the"
+            " robot was pushed, or the geometry is wrong: see dextar calibrate)"
         )
     return text
 

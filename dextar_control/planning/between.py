@@ -41,6 +41,10 @@ OPEN = ("split", "velocity", "strong", "jerk")
 def check_ends(robot: AnyRobot, start: Array, goal: Array) -> tuple[float, float]:
     """Return s at start and goal, both checked.
 
+    Args:
+        robot: that is to move.
+        start, goal: positions of the end effector, (2,), m.
+
     Raises:
         GeometryError: one is unreachable or too near to Type 1 or Type 2.
         TrajectoryError: both lie on one side.

@@ -161,7 +161,7 @@ def test_the_site_has_the_contracts_tables(site: Path) -> None:
     assert {
         name for kind in KINDS.values() for name in former_names(kind.PARAMETERS)
     } <= parameters
-    assert "module:attribute" in parameters and "%" not in safety
+    assert "module:attribute" in parameters and "braces," not in safety
     assert {watch.name for watch in WATCHES} <= safety
 
 
