@@ -12,6 +12,7 @@ from dextar_control.analysis.metrics import METRICS
 from dextar_control.analysis.registry import Metric
 from dextar_control.cli.main import parser
 from dextar_control.contract import resources
+from dextar_control.contract.former_names import former_names
 from dextar_control.contract.help import first_paragraph, rate
 from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.robot import ROBOT_KEYS
@@ -90,7 +91,8 @@ def shown(default: object, unit: str) -> str:
 def allowed(spec: Parameter) -> str:
     """The choices or the range."""
     if spec.choices:
-        return code(*spec.choices)
+        own = f", or {code('module:attribute')} of your own" if spec.own else ""
+        return code(*spec.choices) + own
     low, high = spec.bounds or (-math.inf, None)
     return bounds(low, math.inf if high is None else high)
 
@@ -100,6 +102,16 @@ def bounds(low: float, high: float) -> str:
     if math.isinf(low):
         return "" if math.isinf(high) else f"≤ {high:.10g}"
     return f"≥ {low:.10g}" if math.isinf(high) else f"{low:.10g} to {high:.10g}"
+
+
+def former_parameters() -> str:
+    """Every parameter that has been renamed, node by node."""
+    rows = (
+        [code(node), code(old), code(new)]
+        for node in NODES
+        for old, new in former_names(node_class(node).PARAMETERS).items()
+    )
+    return table(("node", "former name", "present name"), rows)
 
 
 def watches() -> str:
@@ -262,6 +274,7 @@ def tables() -> dict[str, str]:
         "phase_line": ", ".join(
             f"{number} {name}" for number, name in enumerate(PHASES)
         ),
+        "former_parameters": former_parameters(),
         "watches": watches(),
         "launch_arguments": launch_arguments(),
         "commands": commands(),

@@ -20,6 +20,7 @@ from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
 from dextar_control.planning.checks import clear_times
 
 STEP_ZONE = 0.15  # |s| within which torque steps are looked for
+CROSSED, UNDECIDED, NOT_BEGUN = "crossed", "undecided", "not begun"  # verdicts
 FRESH = 2e-3  # s after a crossing has begun from which on a verdict is its own
 
 
@@ -115,8 +116,8 @@ class CrossingMetrics:
         Metric(
             "estimator says",
             "",
-            "The estimator's last verdict: crossed, bounced or undecided; null "
-            "where it is not recorded.",
+            "The estimator's last verdict: crossed, bounced or undecided; not begun "
+            "where tracking ended before; null where it is not recorded.",
         ),
     ]
     verdict_time: Annotated[
@@ -125,7 +126,7 @@ class CrossingMetrics:
             "verdict at",
             "s",
             "When that verdict fell, since the trajectory's start; null while it "
-            "is undecided, and where the bag has a hole before it.",
+            "is undecided or not begun, and where the bag has a hole before it.",
             ".4f",
         ),
     ]
@@ -135,7 +136,7 @@ class CrossingMetrics:
             "confidence",
             "1",
             "The confidence in the assembly mode that the verdict rests on; null "
-            "while it is undecided.",
+            "while it is undecided or not begun.",
             ".4f",
         ),
     ]
@@ -366,7 +367,7 @@ def _crossing(
         crossed=crossed,
         outcome=outcome,
         estimated_mode=int(mode) if math.isfinite(mode) else None,
-        verdict=None if verdict is None else verdict.name.lower(),
+        verdict=verdict,
         verdict_time=verdict_time,
         verdict_confidence=confidence,
         verdict_correct=_correct(track, verdict, verdict_time, sign),
@@ -381,7 +382,7 @@ def _stamps(track: Tracked, first: float, last: float) -> tuple[float, float]:
 
 def _verdict(
     run: Run, plan: Certificate, track: Tracked, time: Floats, index: int
-) -> tuple[Verdict | None, float, float]:
+) -> tuple[str | None, float, float]:
     """Find (last verdict, when it fell, confidence) on one crossing; after the last one
     the controller judged until the run ends.
     """
@@ -392,35 +393,32 @@ def _verdict(
         return None, math.nan, math.nan
     begun = np.append(plan.crossing_times - OPEN_BEFORE, np.inf)
     if begun[index] > track.time[-1]:
-        return Verdict.UNDECIDED, math.nan, math.nan
+        # where the bag breaks off nobody knows whether it was
+        return UNDECIDED if run.truncated else NOT_BEGUN, math.nan, math.nan
     end = begun[index + 1] if begun[index + 1] <= track.time[-1] else np.inf
     first, last = np.searchsorted(time, (begun[index] + FRESH, end))
     until = time[-1] if math.isinf(end) else end
     lost = any(hole.meets(*_stamps(track, begun[index], until)) for hole in run.holes)
     said = np.flatnonzero(verdicts[first:last] > 0.0)
     if len(said) == 0:
-        return None if lost else Verdict.UNDECIDED, math.nan, math.nan
+        return None if lost else UNDECIDED, math.nan, math.nan
     final = verdicts[first + said[-1]]
     before = np.flatnonzero(verdicts[first : first + said[-1]] != final)
     row = first + (int(before[-1]) + 1 if len(before) else 0)
     begin, end = run.criterion.stamps[[max(row - 1, 0)]], run.criterion.stamps[[row]]
     unseen = lost and not recorded(begin, run.holes, end)[0]
     return (
-        Verdict(int(verdicts[row])),
+        Verdict(int(verdicts[row])).name.lower(),
         math.nan if unseen else float(time[row]),
         float(run.criterion.mode_confidence[row]),
     )
 
 
 def _correct(
-    track: Tracked, verdict: Verdict | None, moment: float, sign: int
+    track: Tracked, verdict: str | None, moment: float, sign: int
 ) -> bool | None:
-    side = value_at(track.true_time, track.true_s, moment) if verdict else math.nan
-    return (
-        None
-        if math.isnan(side)
-        else (side * sign > 0.0) == (verdict is Verdict.CROSSED)
-    )
+    side = value_at(track.true_time, track.true_s, moment)
+    return None if math.isnan(side) else (side * sign > 0.0) == (verdict == CROSSED)
 
 
 def _own_part(plan: Certificate, time: Floats, index: int) -> slice[int, int, None]:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dextar_control.analysis.crossings import NOT_BEGUN
 from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.run import Floats, Run
 from dextar_control.analysis.tracking import tracked
@@ -30,7 +31,7 @@ class Place(NamedTuple):
     numbers: list[int]  # from 1
     x: Floats  # (2,) m
     t_s: Floats  # (2, 2) ends of a segment along t_s, m; nan without a robot
-    # the estimator's; of several that differ the worst; "" where none is recorded
+    # the estimator's; of several that differ the worst; "" where there is none
     verdict: str
 
 
@@ -177,7 +178,8 @@ def _places(robot: RobotParameters | None, metrics: Metrics) -> list[Place]:
     places: list[Place] = []
     for number, crossing in enumerate(metrics.crossings, start=1):
         x = np.array(crossing.point)
-        verdict = crossing.verdict or ""
+        said = crossing.verdict or ""
+        verdict = "" if said == NOT_BEGUN else said
         for row, place in enumerate(places):
             if np.hypot(*(place.x - x)) < SAME_PLACE:
                 place.numbers.append(number)

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from dextar_control.analysis.clock import clock_in_words
 from dextar_control.analysis.compute import compute_metrics
-from dextar_control.analysis.crossings import crossed_in_words
+from dextar_control.analysis.crossings import NOT_BEGUN, crossed_in_words
 from dextar_control.analysis.load import load_run
 from dextar_control.analysis.metrics import Metrics, saturated
 from dextar_control.analysis.registry import number
@@ -171,6 +171,8 @@ def _verdicts(metrics: Metrics) -> str:
     text = ", ".join(
         f"{verdicts.count(word)} {word}" for word in ("crossed", "bounced", "undecided")
     )
+    if later := verdicts.count(NOT_BEGUN):
+        text += f", {later} not begun"
     wrong = [
         str(row)
         for row, crossing in enumerate(metrics.crossings, 1)

@@ -62,6 +62,15 @@ def _enable_arguments(parser: argparse.ArgumentParser) -> None:
     _robot(parser)
 
 
+def _reset_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--plant",
+        action="store_true",
+        help="put a simulated robot back to its start first",
+    )
+    _robot(parser)
+
+
 def _run(name: str) -> Callable[[argparse.Namespace], int]:
     """Return a function of ``nodes.operator`` that is loaded when it is called."""
 
@@ -110,6 +119,6 @@ RESET = OperatorCommand(
     "leave a fault or a safe stop of a running robot, without torque",
     "Asks the controller to leave what it has latched; it says what is in the way. Exit"
     " code 0 when that was done, 2 when it was refused.",
-    _robot,
+    _reset_arguments,
     _run("reset"),
 )

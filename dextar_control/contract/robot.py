@@ -203,6 +203,18 @@ class RobotParameters:
                 f"robot.left.axis = {self.left.axis} is that of the right motor too;"
                 " they must differ"
             )
+        sides = {
+            f"{side}.{name}": float(getattr(leg, name))
+            for side, leg in (("left", self.left), ("right", self.right))
+            for name in ("proximal_length", "distal_length")
+        }
+        longest = max(sides, key=sides.__getitem__)
+        others = sum(sides.values()) - sides[longest] + self.base_distance
+        if sides[longest] >= others:
+            raise ParameterError(
+                f"robot.{longest} = {sides[longest]:g}; the other links and the base"
+                f" are {others:g} m long together, so that the linkage cannot close"
+            )
         if (
             self.end_effector_mass + self.left.distal_mass + self.right.distal_mass
             <= 0.0

@@ -12,7 +12,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +23,11 @@ from dextar_control.contract.errors import BagError, GeometryError, ParameterErr
 from dextar_control.contract.former_names import present_names, renamed_in_words
 from dextar_control.contract.node_parameters import PARAMETERS
 from dextar_control.contract.parameters import check_value
-from dextar_control.contract.plug_in import chosen
+from dextar_control.contract.plain_data import ParameterValue
+from dextar_control.contract.plug_in import chosen, is_own
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
 from dextar_control.contract.robot import PREFIX, RobotParameters, load_robot
+from dextar_control.contract.settings import Settings
 from dextar_control.contract.terminal import (
     Steps,
     Terminal,
@@ -34,13 +36,13 @@ from dextar_control.contract.terminal import (
     spoken_warnings,
 )
 from dextar_control.contract.yaml_text import assignment, load_parameters, parse_value
-from dextar_control.control.law import LAWS
+from dextar_control.control.law import LAWS, law_of
 from dextar_control.control.prepare import prepare
-from dextar_control.estimation.estimator import ESTIMATORS
+from dextar_control.estimation.estimator import ESTIMATORS, make_estimator
 from dextar_control.experiments.launch_arguments import PACE
 from dextar_control.experiments.processes import NodesError, Processes, node_arguments
 from dextar_control.experiments.run_folder import make_run_folder
-from dextar_control.experiments.start_check import check_start
+from dextar_control.experiments.start_check import check_start, renamed_in_files
 from dextar_control.model.model import Model
 from dextar_control.nodekit.client import NodeClient, monitoring
 from dextar_control.nodekit.domain import choose_domain
@@ -49,6 +51,7 @@ from dextar_control.nodes.task import Task
 from dextar_control.symbols.types import Array
 
 NODES = "recorder", "plant", "controller", "trajectory_server", "panel"
+OWN = "law", "estimator"  # which may be the user's code
 PANEL = "panel"  # a display is nobody's need: where it ends the demo goes on
 # of the plant, where the estimator wants one: Hz, s, m
 CAMERA = {
@@ -72,12 +75,18 @@ def run_demo(arguments: argparse.Namespace) -> int:
     console = Terminal()
     files = _parameter_files(arguments)
     robot = load_robot(files["controller"][0])
-    values = _node_values(arguments)
+    values, renamed = _node_values(arguments)
     changes = {node: _changes(node, own) for node, own in values.items()}
     settings = {
         node: check_start(node, own, *files[node]) for node, own in changes.items()
     }
+    for node in NODES:
+        renamed |= renamed_in_files(node, *files[node])
+    if renamed:
+        say(f"dextar demo: {renamed_in_words(renamed)}")
     task = Task.from_values(settings["trajectory_server"])
+    task.check(robot)
+    _check_own(robot, settings["controller"])
     start, stands = np.array(task.start), np.array(settings["plant"]["task.start"])
     if arguments.point is not None:
         start = stands = _stand_at_start(console, robot, task, values)
@@ -102,12 +111,8 @@ def run_demo(arguments: argparse.Namespace) -> int:
         else "each step waits for its command"
     )
     mode = "real time" if arguments.real_time else waiting
-    picked = "".join(
-        f"{name} {getattr(arguments, name)}, "
-        for name in ("law", "estimator")
-        if getattr(arguments, name)
-    )
-    said = f"{picked}{mode}, ROS_DOMAIN_ID={domain}, into {folder}"
+    picked = ", ".join(f"{name} {settings['controller'][name]}" for name in OWN)
+    said = f"{picked}, {mode}, ROS_DOMAIN_ID={domain}, into {folder}"
     console.print(said, soft_wrap=True)
     prepare(Model.of(robot).mechanism)
     gc.freeze()
@@ -165,8 +170,12 @@ def _load_analysis() -> None:
         importlib.import_module(f"dextar_control.analysis.{module}")
 
 
-def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
-    """List NAME:=VALUE of each node."""
+def _node_values(
+    arguments: argparse.Namespace,
+) -> tuple[dict[str, list[str]], dict[str, str]]:
+    """List NAME:=VALUE of each node, under present names, and the former names that
+    were typed with the present ones.
+    """
     given: dict[str, dict[str, object]] = {name: {} for name in NODES}
     given["plant"] |= {
         "mode": "realtime" if arguments.real_time else "lockstep",
@@ -180,7 +189,7 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
     given["plant"] |= {"window": True} if arguments.window else {}
     given["controller"] |= {"lockstep": not arguments.real_time}
     given["trajectory_server"] |= {"autostart": True}
-    for name in ("law", "estimator"):
+    for name in OWN:
         if getattr(arguments, name) is not None:
             given["controller"][name] = getattr(arguments, name)
     if arguments.law:
@@ -212,9 +221,25 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
         present, found = present_names(PARAMETERS[node], own)
         values[node] += [f"{name}:={value}" for name, value in present.items()]
         renamed |= found
-    if renamed:
-        say(f"dextar demo: {renamed_in_words(renamed)}")
-    return values
+    return values, renamed
+
+
+def _check_own(robot: RobotParameters, values: Mapping[str, ParameterValue]) -> None:
+    """Build a law or an estimator of the user's own, as the controller does at its
+    start.
+
+    Args:
+        robot: that the controller knows.
+        values: of the controller's parameters.
+
+    Raises:
+        ParameterError: it cannot be built.
+    """
+    settings, model = Settings.from_values(values), Model.of(robot)
+    if is_own(settings.law):
+        law_of(model.mechanism, settings.law)
+    if is_own(settings.estimator):
+        make_estimator(model, settings, robot.min_type1_distance)
 
 
 def _changes(node: str, texts: Sequence[str]) -> dict[str, object]:

@@ -8,7 +8,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.former_names import present_names, present_parameters
+from dextar_control.contract.former_names import (
+    present_names,
+    present_parameters,
+    present_sections,
+)
 from dextar_control.contract.node_parameters import parameters_of_node
 from dextar_control.contract.parameters import settled
 from dextar_control.nodekit.node import DextarNode
@@ -48,3 +52,20 @@ def check_start(
     except ParameterError as error:
         raise ParameterError(f"{node}: {error}") from error
     return values
+
+
+def renamed_in_files(node: str, *files: Path) -> dict[str, str]:
+    """Return the former names that parameter files use for a node, with the present
+    ones.
+
+    Args:
+        node: its name.
+        files: parameter files.
+
+    Raises:
+        ParameterError: as ``present_sections``.
+    """
+    renamed: dict[str, str] = {}
+    for path in files:
+        renamed |= present_sections(node, path)[1]
+    return renamed

@@ -289,7 +289,8 @@ def torque_fit_in_words(identification: Identification) -> str:
     if others := len(used) - int(used.sum()):
         text += (
             f"; {counted(others, 'outlier')} left out, as where friction turns round, a"
-            " belt rings, or the robot was pushed"
+            " belt rings, the robot was pushed, or the geometry is wrong: see dextar"
+            " calibrate"
         )
     return text
 

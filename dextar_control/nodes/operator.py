@@ -214,6 +214,20 @@ class OperatorClient(NodeClient):
         recorder = self.status.get("recorder", {})
         return recorder.get("bag", "") if recorder.get("recording") == "True" else ""
 
+    def reset_plant(self) -> None:
+        """Put a simulated robot back to its start, at rest, and wait until the
+        controller tells of itself again.
+
+        Raises:
+            NodesError: there is none, or it refuses.
+        """
+        self.find("controller", "plant")
+        answer = self.call(Trigger, "plant/reset")
+        if not answer.success:
+            raise NodesError(answer.message)
+        since = time.monotonic()
+        self.until(lambda: self.heard_since("controller", since), SILENCE)
+
     def ask_controller(self, kind: ServiceType, name: str, **fields: bool) -> str:
         """Have the controller do something at once; return its state afterwards, in
         words.
@@ -509,6 +523,8 @@ def enable(arguments: argparse.Namespace) -> int:
 def reset(arguments: argparse.Namespace) -> int:
     """Leave a fault or a safe stop; return the exit code."""
     with operator(arguments.namespace) as me:
+        if arguments.plant:
+            me.reset_plant()
         say(me.ask_controller(Trigger, "reset"))
     return 0
 

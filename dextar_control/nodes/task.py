@@ -10,6 +10,7 @@ import numpy as np
 from dextar_control.contract.errors import ParameterError, TrajectoryError
 from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.planning.between import check_ends
 from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.checks import certify
 from dextar_control.planning.excitation import plan_excitation
@@ -129,6 +130,16 @@ class Task:
             locus_time=values["locus_time"],
             criterion=CrossingCriterion[values["criterion"].upper()],
         )
+
+    def check(self, robot: RobotParameters) -> None:
+        """Check what is known before anything is planned: the ends of A -> B -> A.
+
+        Raises:
+            DextarError: an end is unreachable or too near to the locus, or both lie on
+                one side.
+        """
+        if not (self.excite or self.tour or self.tour_points or self.point):
+            check_ends(robot, np.array(self.start), np.array(self.goal))
 
     def plan(self, robot: RobotParameters, progress: Progress = silent) -> Plan:
         """Return the certified plan; a tour or an exciting motion begins in A, a trip

@@ -38,8 +38,12 @@ DETOUR = 1.05  # length of a way over the straight one above which the guess is 
 OPEN = ("split", "velocity", "strong", "jerk")
 
 
-def _ends(robot: AnyRobot, start: Array, goal: Array) -> tuple[float, float]:
+def check_ends(robot: AnyRobot, start: Array, goal: Array) -> tuple[float, float]:
     """Return s at start and goal, both checked.
+
+    Args:
+        robot: that is to move.
+        start, goal: positions of the end effector, (2,), m.
 
     Raises:
         GeometryError: one is unreachable or too near to Type 1 or Type 2.
@@ -94,7 +98,7 @@ def plan_crossing(
             the nearest duration that works.
     """
     start, goal = np.asarray(start, np.float64), np.asarray(goal, np.float64)
-    sides = _ends(robot, start, goal)
+    sides = check_ends(robot, start, goal)
     place = None if point is None else place_of(robot, point)
     before, after = _parts(robot, start, goal, sides, place)
     length = float(lengths_along(np.vstack([before, after]))[-1])

@@ -265,6 +265,8 @@ def test_ctrl_c_is_a_safe_stop_and_each_refusal_says_what_to_type(robot: Robot) 
         "IDLE (disabled on request): type dextar enable --namespace /left\n",
     )
     assert robot("reset")[0] == 0  # nothing is latched
+    assert robot("reset", "--plant")[0] == 0
+    assert "x -0.0250 m, y 0.1150 m" in robot("status")[1]  # where it began
     assert robot("enable") == (0, "HOLD\n")
 
 

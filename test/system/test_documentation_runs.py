@@ -20,6 +20,7 @@ from test_faulty_link import REFUSAL
 
 from dextar_control.cli import main as cli
 from dextar_control.cli.pdf import find_browser
+from dextar_control.contract.former_names import former_names
 from dextar_control.contract.topics import SERVICES, TOPICS
 from dextar_control.control.supervisor import WATCHES
 from dextar_control.experiments.start_check import KINDS
@@ -157,6 +158,10 @@ def test_the_site_has_the_contracts_tables(site: Path) -> None:
     assert {
         spec.name for kind in KINDS.values() for spec in kind.PARAMETERS
     } <= parameters
+    assert {
+        name for kind in KINDS.values() for name in former_names(kind.PARAMETERS)
+    } <= parameters
+    assert "module:attribute" in parameters and "braces," not in safety
     assert {watch.name for watch in WATCHES} <= safety
 
 

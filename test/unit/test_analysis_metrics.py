@@ -31,8 +31,9 @@ from dextar_control.analysis.compute import compute_metrics
 from dextar_control.analysis.figure import draw_run
 from dextar_control.analysis.load import load_run
 from dextar_control.analysis.report import analyze, summary_table
-from dextar_control.analysis.run import Run
+from dextar_control.analysis.run import Phase, Run
 from dextar_control.analysis.tracking import plan_of, singularity_measure
+from dextar_control.control.verdicts import Verdict
 from dextar_control.planning.checks import SIDE, clear_times
 from dextar_control.planning.model import states_model
 
@@ -179,6 +180,25 @@ def test_undecided_is_neither_right_nor_wrong(tmp_path: Path) -> None:
     assert [c.verdict_correct for c in metrics.crossings] == [None, None]
     assert metrics.success is True
     assert "0 crossed, 0 bounced, 2 undecided" in _table(run)
+
+
+def test_a_crossing_planned_after_a_stop_was_not_begun(good: Run) -> None:
+    """Of a bag that breaks off there nobody knows."""
+    criterion = good.criterion
+    after = criterion.stamps - criterion.stamps[0] > 1e9 * np.mean(CROSSINGS)
+    stopped = dataclasses.replace(
+        criterion,
+        phase=np.where(after, Phase.SAFE_STOP, criterion.phase),
+        verdict=np.where(after, Verdict.CROSSED, criterion.verdict),
+    )
+    run = dataclasses.replace(good, criterion=stopped)
+    metrics = compute_metrics(run)
+    assert [c.verdict for c in metrics.crossings] == ["crossed", "not begun"]
+    assert metrics.crossings[1].verdict_correct is None
+    assert "0 undecided, 1 not begun; agrees" in _table(run)
+    draw_run(run, metrics).canvas.draw()
+    broken = compute_metrics(dataclasses.replace(run, truncated=True))
+    assert broken.crossings[1].verdict == "undecided"
 
 
 def test_a_bag_without_verdicts_is_still_read(tmp_path: Path) -> None:

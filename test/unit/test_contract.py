@@ -107,6 +107,11 @@ def test_both_robot_files_load_and_come_back(robot: RobotParameters) -> None:
             r"robot.left.distal_length = 90.0; 10 is the most, in SI units",
         ),
         (
+            {"left.proximal_length": 9.1},
+            r"robot.left.proximal_length = 9.1; the other links and the base are 0.388"
+            r" m long together, so that the linkage cannot close",
+        ),
+        (
             {"left.proximal_inertia": 101250.0},
             r"robot.left.proximal_inertia = 101250.0; 100 is the most, in SI units",
         ),

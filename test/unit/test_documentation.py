@@ -43,6 +43,15 @@ def test_every_command_exists_as_it_is_written(page: Path) -> None:
             check(span, whole=False)
 
 
+@pytest.mark.parametrize("page", NAMED)
+def test_a_page_with_tables_that_are_built_says_so_where_it_is_not_built(
+    page: Path,
+) -> None:
+    text = page.read_text(encoding="utf-8")
+    told = re.search(r"^% .*`make docs`", text, re.MULTILINE)  # a comment of MyST
+    assert bool(told) == bool(re.search(r"\{\{ \w+ \}\}", text))
+
+
 OF_ROS2_CONTROL = {
     "joint_states_topic",
     "joint_commands_topic",

@@ -39,6 +39,11 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return names
 
 
+def unfinished(*_: object) -> None:
+    """A law or an estimator of a user's that cannot be built."""
+    raise ValueError("not finished")
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -98,6 +103,18 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
             ("-p", "recorder.bag.compression:=rar"),
             "recorder: parameter 'bag.compression' = 'rar'; it must be one of",
         ),
+        (
+            ("-p", "trajectory_server.task.goal:=[-0.02, 0.12]"),
+            "start and goal lie on the same side of the Type 2 locus",
+        ),
+        (
+            ("--law", f"{__name__}:unfinished"),
+            "fails as its equations are built: ValueError: not finished",
+        ),
+        (
+            ("-p", f"controller.estimator:={__name__}:unfinished"),
+            "cannot be made: ValueError: not finished",
+        ),
     ],
 )
 def test_what_can_be_known_as_wrong_is_refused_before_there_is_a_folder(
@@ -127,6 +144,49 @@ def test_a_file_given_with_params_is_held_to_the_same_rules(
     )
     assert "controller: unknown parameter 'lwa'" in capsys.readouterr().err
     assert not started and not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((), "law consistent, estimator observer, each step waits"),
+        (("--lockstep", "--law", "classic"), "law classic, estimator observer, as"),
+    ],
+)
+def test_the_first_line_names_law_and_estimator_whether_they_were_given_or_not(
+    arguments: tuple[str, ...],
+    said: str,
+    started: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.main(["demo", "--output", str(tmp_path), *arguments]) == 2
+    assert capsys.readouterr().out.startswith(said) and started
+
+
+def test_the_demo_tells_once_what_is_now_called_otherwise_in_its_files_and_arguments(
+    started: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "params.yaml"
+    file.write_text(
+        "/**/controller:\n  ros__parameters: {max_residual: 0.02}\n"
+        "/**/plant:\n  ros__parameters: {substeps: 4}\n",
+        encoding="utf-8",
+    )
+    typed = "--params", str(file), "-p", "controller.natural_frequency:=70.0"
+    assert cli.main(["demo", "--output", str(tmp_path), *typed]) == 2
+    told = [
+        line
+        for line in capsys.readouterr().err.splitlines()
+        if "parameters have been renamed" in line
+    ]
+    assert len(told) == 1 and started
+    for name in (
+        "max_residual is now trajectory.max_residual",
+        "substeps is now simulation.substeps",
+        "natural_frequency is now feedback.natural_frequency",
+    ):
+        assert name in told[0]
 
 
 def test_the_latest_run_stays_the_one_that_began_where_a_start_is_refused(
