@@ -51,18 +51,17 @@ class Robot:
         self.verdicts += re.findall(r"crossing \d+ of \d+: \w+ .*", text)
 
     def until(self, phases: str, trip: subprocess.Popen[str] | None = None) -> None:
-        """Ask for the state until the controller is in one of these phases; the others'
-        word is not waited for.
-        """
-        deadline = time.monotonic() + PATIENCE
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(operator, "GRAPH", 0.0)
-            patch.setattr(operator.OperatorClient, "hear", lambda *_: None)
-            while not re.match(
-                f"controller: active, ({phases})", text := self("status")[1]
-            ):
-                assert time.monotonic() < deadline, text
-                assert trip is None or trip.poll() is None, "it has ended"
+        """Hear the controller until it is active in one of these phases."""
+
+        def there() -> bool:
+            assert trip is None or trip.poll() is None, "it has ended"
+            told = me.controller
+            return told.get("lifecycle") == "active" and bool(
+                re.fullmatch(phases, told["phase"])
+            )
+
+        with operator.operator(NAMESPACE[1]) as me:
+            assert me.until(there, PATIENCE), me.controller
 
     def all_told(self) -> tuple[int, str]:
         """Exit code and output of a ``status`` that has heard every node."""
@@ -113,11 +112,16 @@ def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[str]]:
     log as well.
     """
     bag = tmp_path_factory.mktemp("run") / "run.mcap"
+    # At half the pace the robot, which holds most of the time, leaves the commands room.
+    own = {
+        "plant": ("simulation.real_time_factor:=0.5",),
+        "recorder": (f"output:={bag}",),
+    }
     processes: dict[str, subprocess.Popen[str]] = {}
     verdicts: list[str] = []
     try:
         for name, (module, values) in NODES.items():
-            values = (*values, f"output:={bag}") if name == "recorder" else values
+            values = (*values, *own.get(name, ()))
             processes[name] = start(
                 module,
                 "-r",

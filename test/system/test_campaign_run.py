@@ -361,6 +361,7 @@ def test_a_campaign_that_only_dies_is_given_up(
     said: str,
 ) -> None:
     monkeypatch.setattr(pool_module, "MANY_DEATHS", 2)
+    monkeypatch.setattr(pool_module, "ATTEMPTS", 1)  # each costs a worker's start
     with Pool(workers=1) as pool, pytest.raises(CampaignError, match=said):
         list(pool.map(call, job, [trials[:2]]))
 
