@@ -787,6 +787,7 @@ def _plan(run: Run, plan: Certificate | None) -> dict[str, object]:
         ("duration", "duration", "s", ""),
         ("peak_torque", "peak torque", "N m", number(torque, "g", "")),
         ("peak_torque_near", f"peak torque within |s| < {NEAR_LOCUS}", "N m", ""),
+        ("peak_torque_rate", "peak torque rate", "N m/s", ""),
         ("peak_joint_speed", "peak joint speed", "rad/s", number(speed, "g", "")),
         (
             "peak_platform_speed",

@@ -58,7 +58,8 @@ def draw_plan(robot: AnyRobot, plan: Plan) -> Figure:
     title = (
         f"{name}: {counted(len(certificate.crossings), 'crossing')} in"
         f" {certificate.duration:.2f} s, peak torque {certificate.peak_torque:.3f} of"
-        f" {robot.max_torque:g} {certificate.joint.effort_unit}"
+        f" {robot.max_torque:g} {certificate.joint.effort_unit}, peak torque rate"
+        f" {certificate.peak_torque_rate:.1f} {certificate.joint.effort_unit}/s"
     )
     figure.suptitle(
         f"{title}; working mode {mode}" if mode else title,

@@ -51,6 +51,8 @@ EXCESS = 1.0  # how much more a peak torque counts beyond the one that costs one
 SOFT_MAXIMUM = 12  # exponent of the mean that stands for the peak torque
 UNREACHABLE = 20.0  # cost of a half that a leg does not reach, before how far it misses
 UNCLOSED = 1e3  # cost of a place where the locus does not close, over how far it misses
+# s in which a leg's torque may change by what costs one, for nothing
+TORQUE_RISE = 10e-3
 SPEED_SHARE = 0.95  # of the speed limits that costs nothing
 SPLIT_LEAST = 0.2  # fraction of the time on either side of the crossing
 SPAN_MOST = 2.0  # logarithm of a leg's half over its scale
@@ -352,7 +354,7 @@ def _excess(value: Symbol | float, limit: Symbol | float) -> Symbol:
 
 def _instant(mechanism: Mechanism, e: Equations) -> tuple[ca.Function, ca.Function]:
     """Return the functions of what one sample of a candidate costs (load, near, broken,
-    reached), and of what its end costs.
+    reached) and its torque (0 out of reach), and of what its end costs.
     """
     p, layout = mechanism.named(e.p), layouts(mechanism.n).limits
     limits, limit = layout.symbols()
@@ -379,7 +381,10 @@ def _instant(mechanism: Mechanism, e: Equations) -> tuple[ca.Function, ca.Functi
     sample = ca.Function(
         "sample",
         [e.p, limits, sign, floor, e.x, e.x_dot, e.x_ddot],
-        [ca.densify(costs + ca.vertcat(0.0, 0.0, missed, 0.0))],
+        [
+            ca.densify(costs + ca.vertcat(0.0, 0.0, missed, 0.0)),
+            ca.if_else(reached, tau, ca.SX.zeros(tau.size1())),
+        ],
         {"cse": True, **only},
     )
     end = missed + ca.if_else(
@@ -410,7 +415,8 @@ def costs(
 
     The cost is its peak torque, its time near the locus, and what it breaks. A torque
     counts more near the locus and beyond what costs one: each comes a little late, and
-    the error that this leaves grows with it.
+    the error that this leaves grows with it. So does what a torque changes by while it
+    is late, which a leg's cost counts as well.
     """
     sample, end = _instant(mechanism, e)
     return [
@@ -427,6 +433,7 @@ def _cost(
         ca.MX.sym(name, candidate.size1_in(i)) for i, name in enumerate(ARGUMENTS)
     ]
     first, second, spans, signs, own = candidate(*arguments)
+    place = layouts(candidate.size1_out(0)).limits.places
     peak = near = total = ca.MX(0.0)
     for row, coefficients in enumerate((first, second)):
         span = spans[row]
@@ -434,7 +441,7 @@ def _cost(
             coefficients @ _basis(order) / span**order for order in range(3)
         )
         many = [ca.repmat(part, 1, HALF_SAMPLES) for part in (p, limits, signs[row])]
-        found = samples(
+        found, tau = samples(
             *many, ca.DM(_FLOORS).T, x[:, :-1], x_dot[:, :-1], x_ddot[:, :-1]
         )
         load, close, broken, counted = ca.vertsplit(found)
@@ -443,7 +450,11 @@ def _cost(
         near += close @ weights
         total += counted @ weights
         own += ca.sum2(broken) + end(p, limits, signs[row], x[:, -1])
-    place = layouts(candidate.size1_out(0)).limits.places
+        if candidate.name() == "leg":
+            steps = (tau[:, 1:] - tau[:, :-1]) / limits[place["torque"][0]]
+            rates = ca.fabs(steps @ ca.diag(1.0 / np.diff(_FRACTIONS[:-1])) / span)
+            steep = ca.sum1(ca.fmax(TORQUE_RISE * rates - 1.0, 0.0))
+            own += ca.sum2(counted[1:] * counted[:-1] * steep)
     torque = ca.fmax(peak / ca.fmax(total, 1e-9), 1e-12) ** (1.0 / SOFT_MAXIMUM)
     cost = (
         torque

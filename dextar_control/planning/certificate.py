@@ -57,6 +57,8 @@ class Certificate(NamedTuple):
     multipliers: Array  # (k, n) limit of lambda on the locus, N/m
     peak_torque: float  # N m
     peak_torque_near: float  # N m, within |s| < NEAR_LOCUS; nan without a crossing
+    # N m/s: the largest change of a torque from one sample to the next, over a period
+    peak_torque_rate: float
     peak_joint_speed: float  # rad/s
     peak_platform_speed: float  # m/s
     least_type1: float
@@ -86,7 +88,8 @@ class Certificate(NamedTuple):
         """Return the certificate in words, one fact a line."""
         text = [
             f"duration {self.duration:.3f} s, peak torque {self.peak_torque:.4f}"
-            f" {self.joint.effort_unit}, peak joint speed {self.peak_joint_speed:.2f}"
+            f" {self.joint.effort_unit}, peak torque rate {self.peak_torque_rate:.2f}"
+            f" {self.joint.effort_unit}/s, peak joint speed {self.peak_joint_speed:.2f}"
             f" {self.joint.unit}/s, peak platform speed {self.peak_platform_speed:.3f}"
             f" m/s, distance to Type 1 {self.least_type1:.3f}"
         ]
@@ -154,6 +157,7 @@ def measure(
         peak_torque_near=(
             float(np.abs(profile.torque[near]).max()) if near.any() else float("nan")
         ),
+        peak_torque_rate=_peak_rate(profile.time, profile.torque, period),
         peak_joint_speed=float(np.abs(profile.q_a_dot).max()),
         peak_platform_speed=float(np.linalg.norm(profile.x_dot, axis=1).max()),
         least_type1=float(profile.type1.min()),
@@ -163,6 +167,15 @@ def measure(
         least_s=float(np.abs(profile.s[[0, -1]]).min()),
         joint=states_model(robot).mechanism.joints[0],
     )
+
+
+def _peak_rate(times: Array, values: Array, period: float) -> float:
+    """Return the largest change of values (m, n) at times (m,), s, between samples
+    evenly ``period``, s, apart, over it.
+    """
+    even = np.arange(times[0], times[-1] + period, period)
+    sampled = [np.interp(even, times, value) for value in values.T]
+    return float(np.abs(np.diff(sampled)).max() / period)
 
 
 def _crossing(

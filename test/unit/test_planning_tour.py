@@ -25,6 +25,9 @@ from dextar_control.planning.tour import plan_tour, spread_points
 
 AT_POINT = 1e-9  # m: the crossing's point is imposed
 STANDS = 1e-9  # m/s
+LONG_APART = 0.5e-3  # s: over a shorter time rounding tells on a rate
+# N m/s: ways through single points, of open duration, take up to 10
+STEEPEST = 15.0
 MOVES = 0.02  # m/s: slower than this between crossings is a stop
 
 
@@ -68,6 +71,17 @@ def test_a_tour_is_smooth_where_its_pieces_meet(tour: Plan) -> None:
         np.testing.assert_allclose(before.x, after.x, atol=1e-8)
         np.testing.assert_allclose(before.x_dot, after.x_dot, atol=1e-6)
         np.testing.assert_allclose(before.x_ddot, after.x_ddot, atol=1e-4)
+
+
+def test_the_torque_of_a_tour_is_nowhere_much_steeper_than_that_of_a_single_crossing(
+    robot: RobotParameters,
+) -> None:
+    seen = plan_tour(robot, 3, start=np.array([-0.025, 0.115]), duration=0.33)
+    profile, rate = seen.certificate.profile, seen.certificate.peak_torque_rate
+    apart = np.diff(profile.time)[:, None]
+    rates = (np.abs(np.diff(profile.torque, axis=0)) / apart)[apart[:, 0] > LONG_APART]
+    assert rates.max() < STEEPEST
+    assert 0.5 * rates.max() < rate <= 1.1 * rates.max()
 
 
 def test_crossings_are_joined_without_stopping(tour: Plan) -> None:
