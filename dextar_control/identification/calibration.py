@@ -69,6 +69,7 @@ UNLIKE = (
     "turns before the locus, encoders that slip, play, links that bend, or a bag of"
     " another robot look like this"
 )
+CHECK_POSES = "check their frame, unit and stamps, or leave them out (--no-pose)"
 RECORD = (
     "record crossings spread over the locus: dextar demo --lockstep --tour 12 (on a rig"
     " the task tour:=12), also in other working modes, and where a tour ends early the"
@@ -425,10 +426,7 @@ def _check_places(found: Fit, places: Places | None) -> None:
                 f" {1e3 * MOST_PLACE_NOISE:g} mm is the most"
             )
         )
-        raise CalibrationError(
-            f"{told}: check their frame, unit and stamps, or leave them out"
-            " (--no-pose). Nothing was written"
-        )
+        raise CalibrationError(f"{told}: {CHECK_POSES}. Nothing was written")
 
 
 def _check_told(found: Fit) -> None:
@@ -477,10 +475,11 @@ def _check_explained(found: Fit, gaps: Array) -> None:
     if count and (used < LEAST_USED * count or rms > MOST_GAP or none_spare):
         raise CalibrationError(
             f"no geometry explains the recordings: {used} of {count} crossings"
-            f" agree{f', with gaps of {1e6 * rms:.0f} um RMS' if used else ''};"
+            f" agree{f', with gaps of {1e6 * rms:.0f} um RMS' if rms >= 0.0 else ''};"
             f" {LEAST_USED:.0%} have to, with {1e6 * MOST_GAP:.0f} um at most:"
-            f" {_encoders(found) or UNLIKE}. Nothing was"
-            f" written{f'; {RECORD}' if not used else ''}"
+            f" {_encoders(found) or UNLIKE}"
+            f"{f'; so do wrong external poses: {CHECK_POSES}' if found.places else ''}."
+            f" Nothing was written{f'; {RECORD}' if not used else ''}"
         )
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,6 +19,7 @@ import synthetic_run as made
 import yaml
 from browser import looks_right
 from closed_loop import running
+from scipy.optimize import brentq
 
 from dextar_control.analysis.load import load_run
 from dextar_control.bags.writer import BagWriter, SerializedMessage
@@ -237,10 +239,16 @@ def driven(numbers: np.ndarray) -> np.ndarray:
 def test_where_the_robot_turned_back_tells_as_much_if_it_touched(
     before: float, counts: bool
 ) -> None:
-    x, crossing = path().copy(), tour().certificate.crossing_times[2]
-    turn, span = round((crossing - before) / PERIOD), 60
-    x[turn : turn + span] = x[turn - span : turn][::-1]  # back as it came
     numbers = wrong(np.random.default_rng(4))
+    model, at = Model.of(described(ROBOT, numbers)), tour().trajectory.at
+    planned = tour().certificate.crossing_times[2]
+    touches = brentq(
+        lambda time: model.place(at(time).x).s[0], planned - 0.02, planned + 0.02
+    )
+    turned_at = touches - before
+    x, turn, span = path().copy(), math.ceil(turned_at / PERIOD), 60
+    for row in range(turn, turn + span):
+        x[row] = at(2.0 * turned_at - row * PERIOD).x  # back as it came
     pieces = [x[: turn + span], path()[turn + span :]]
     folds = [
         fold
@@ -494,7 +502,7 @@ def slipped(readings: np.ndarray) -> np.ndarray:
         ),
         (
             lambda: run_of(read(NOMINAL, path()), 0.0 * path() + [0.02, 0.08]),
-            "of \\d+ external poses agree .* check their frame",
+            "external poses(?: agree .*)?: check their frame",
         ),
         (
             lambda: run_of(read(NOMINAL, path()), path() * [-1.0, 1.0]),
