@@ -199,11 +199,14 @@ class Page:
 
     def screenshot(self, file: Path) -> None:
         self._call("Emulation.setScrollbarsHidden", hidden=True)
-        file.write_bytes(
-            base64.b64decode(
-                self._call("Page.captureScreenshot", captureBeyondViewport=True)["data"]
-            )
+        width, height = self.evaluate(
+            "[innerWidth, document.documentElement.scrollHeight]"
         )
+        clip = {"x": 0, "y": 0, "width": width, "height": height, "scale": 1}
+        taken = self._call(
+            "Page.captureScreenshot", captureBeyondViewport=True, clip=clip
+        )
+        file.write_bytes(base64.b64decode(taken["data"]))
 
     def wait(self, condition: str) -> None:
         """Until an expression is true."""
