@@ -2,7 +2,7 @@
 # LAW=consistent  law of the demo: consistent, projected, classic, multi_model, joint_space or module:function of one's own
 # DURATION=       duration of one way in the demo, s
 # CONFIG=         file of the campaign (config/campaign_small.yaml)
-# ARGS=           further arguments of dextar or pytest
+# ARGS=           further arguments of dextar or pytest, such as --cov of make check
 # EXTRAS=         of setup.py that make setup adds: campaign, export, video
 # PYTHON=python3  the interpreter that .venv is made with, 3.10 to 3.13
 
@@ -24,7 +24,7 @@ BIN := .venv/bin
 SET_UP := PYTHON="$(PYTHON)" ./set_up.sh
 # Two files at a time, in processes and DDS domains of their own.
 PYTEST := $(BIN)/python -m pytest -q --numprocesses=2 --dist=loadfile
-COVERAGE := echo "of the mathematics' lines the tests run $$($(BIN)/coverage report --format=total) % ($(BIN)/coverage report lists them)"
+COVERAGE := echo "of the mathematics' lines the unit tests run $$($(BIN)/coverage report --format=total) % ($(BIN)/coverage report lists them)"
 
 help: ## this list
 	@sed -n 's/^# \{1,2\}//p;/^$$/q' Makefile
@@ -50,11 +50,11 @@ check: set-up-test ## formatter, linter, types, and the tests that start nothing
 	tests=0
 	$(PYTEST) test/unit $(ARGS) || tests=$$?
 	wait $$types
+	$(if $(findstring --cov,$(ARGS)),$(COVERAGE))
 	exit $$tests
 
 test: set-up-test .venv/installed-js ## run the tests
-	@$(PYTEST) --cov --cov-report= --durations=10 $(ARGS)
-	$(COVERAGE)
+	@$(PYTEST) --durations=10 $(ARGS)
 
 docs: ## build the documentation into docs/_build/index.html, which opens offline
 	@$(SET_UP) docs
