@@ -25,9 +25,13 @@ def number(
         except ValueError:
             value = math.nan
         if not low <= value <= high or (above and value == low):
-            least = f"above {low:g}" if above else f"{low:g}"
+            span = (
+                f"be above {low:g} and at most {high:g}"
+                if above
+                else f"lie in {low:g} to {high:g}"
+            )
             raise argparse.ArgumentTypeError(
-                f"{text}; it must lie in {least} to {high:g}{unit and f' {unit}'}"
+                f"{text}; it must {span}{unit and f' {unit}'}"
             )
         return value
 

@@ -25,13 +25,18 @@ EXPECTED: tuple[Number, ...] = (
     ("--rate", None, "HZ", "of the states (default: one per task.sample_period)"),
     ("--rate-tolerance", 0.05, "X", "relative (default: %(default)s)"),
     ("--jitter", None, "S", "99th percentile off the period (default: one period)"),
-    ("--max-gap", None, "S", "between two states (default: controller.state_timeout)"),
+    (
+        "--max-gap",
+        None,
+        "S",
+        "between two states (default: controller.joint_states.timeout)",
+    ),
     ("--max-age", 0.05, "S", "of a stamp at arrival (default: %(default)s)"),
     (
         "--watchdog",
         None,
         "S",
-        "declared time-out of the drive (default: plant.command_timeout)",
+        "declared time-out of the drive (default: plant.drive.command_timeout)",
     ),
     (
         "--watchdog-margin",

@@ -100,6 +100,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
         place = _place_as_read(robot, true, start)
         if np.hypot(*(place - stands)) > SAME_PLACE:
             values["plant"].append(assignment("task.start", place.tolist()))
+    prepare(Model.of(robot).mechanism)
     folder = make_run_folder(arguments.output)
     values["recorder"].append(assignment("output", folder / "run.mcap"))
     values["trajectory_server"].append(assignment("drawing", folder / "plan.png"))
@@ -114,7 +115,6 @@ def run_demo(arguments: argparse.Namespace) -> int:
     picked = ", ".join(f"{name} {settings['controller'][name]}" for name in OWN)
     said = f"{picked}, {mode}, ROS_DOMAIN_ID={domain}, into {folder}"
     console.print(said, soft_wrap=True)
-    prepare(Model.of(robot).mechanism)
     gc.freeze()
     troubles: list[str] = []
     with Processes(folder, forked=True) as processes:

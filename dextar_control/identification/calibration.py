@@ -72,8 +72,8 @@ UNLIKE = (
 CHECK_POSES = "check their frame, unit and stamps, or leave them out (--no-pose)"
 RECORD = (
     "record crossings spread over the locus: dextar demo --lockstep --tour 12 (on a rig"
-    " the task tour:=12), also in other working modes, and where a tour ends early the"
-    " other way round (--tour -12); several bags are taken together"
+    " dextar go --tour 12), also in other working modes, and where a tour ends early"
+    " the other way round (--tour -12); several bags are taken together"
 )
 
 
@@ -382,7 +382,7 @@ def _check_enough(
     if places is None and lacking > 0:
         raise CalibrationError(
             f"{names}: too few crossings: {len(folds)} for {len(wanted)} quantities"
-            f" ({', '.join(one.name for one in wanted)}); {lacking} more are needed;"
+            f" ({'; '.join(one.name for one in wanted)}); {lacking} more are needed;"
             f" {RECORD}"
         )
 

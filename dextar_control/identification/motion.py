@@ -36,7 +36,7 @@ NOTHING = {"time": np.zeros(0)} | dict.fromkeys(
     "q_a q_a_ddot x x_dot x_ddot tau smooth_tau tau_dot".split(), np.zeros((0, 2))
 )
 """A stretch without an instant."""
-EXCITE = "record dextar demo --lockstep --excite (on a rig the task excite:=20)"
+EXCITE = "record dextar demo --lockstep --excite (on a rig dextar go --excite 20)"
 
 
 @dataclass(frozen=True)

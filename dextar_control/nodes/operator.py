@@ -31,7 +31,7 @@ from dextar_control.nodekit.client import (
 )
 from dextar_control.nodekit.node import prepare_middleware
 from dextar_control.nodekit.services import ServiceType
-from dextar_control.nodes.next_step import next_step, why_not
+from dextar_control.nodes.next_step import command, next_step, why_not
 from dextar_control.nodes.progress import crossing_line, crossings, trip_line, unhealthy
 
 # s for the trajectory server's part of a stop; on a busy machine it is found up to 3 s
@@ -218,10 +218,22 @@ class OperatorClient(NodeClient):
         """Put a simulated robot back to its start, at rest, and wait until the
         controller tells of itself again.
 
+        A controller that can leave what it has latched does so first: after
+        the robot's jump it knows its side no longer.
+
         Raises:
-            NodesError: there is none, or it refuses.
+            NodesError: there is none, it refuses, or the controller gives it torque.
         """
         self.find("controller", "plant")
+        self.alone("controller", "plant")
+        phase = self.controller.get("phase", "")
+        if phase == "HOLD" or not self.at_rest():
+            off = command(self.full("controller"), "enable")
+            raise NodesError(
+                f"the controller is in phase {phase} and would take the robot's new"
+                f" place for a jump: type {off} --off first"
+            )
+        self.call(Trigger, "controller/reset")
         answer = self.call(Trigger, "plant/reset")
         if not answer.success:
             raise NodesError(answer.message)

@@ -272,6 +272,10 @@ def test_ctrl_c_is_a_safe_stop_and_each_refusal_says_what_to_type(robot: Robot) 
     assert robot("reset", "--plant")[0] == 0
     assert "x -0.0250 m, y 0.1150 m" in robot("status")[1]  # where it began
     assert robot("enable") == (0, "HOLD\n")
+    code, text = robot("reset", "--plant")
+    assert code == 2
+    assert text.endswith("type dextar enable --namespace /left --off first\n")
+    assert robot("stop") == (0, "HOLD\n")  # and the robot was not touched
 
 
 def test_a_stop_ends_the_trip_of_another(robot: Robot) -> None:
@@ -281,6 +285,10 @@ def test_a_stop_ends_the_trip_of_another(robot: Robot) -> None:
     assert re.match(r"SAFE_STOP \(stop requested; at rest", text)
     assert trip.returncode == 1, robot.printed
     assert "not done: " in robot.printed
+    assert robot("reset", "--plant") == (
+        0,
+        "IDLE: type dextar enable --namespace /left\n",
+    )  # the side is known still
 
 
 def test_two_nodes_of_one_name_are_told_and_another_namespace_is_named(

@@ -307,9 +307,9 @@ def run_faults(
         console.print(table)
     for line in summary.troubles():
         console.print(line, style="bold")
+    drawn = " faults.png" if summary.rows() else ""
     console.print(
-        f"{folder}: faults.md faults.json faults.png events.jsonl and each session's"
-        " logs",
+        f"{folder}: faults.md faults.json{drawn} events.jsonl and each session's logs",
         soft_wrap=True,
     )
     if interrupted is not None:
