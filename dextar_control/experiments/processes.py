@@ -42,7 +42,12 @@ class _Fork:
         self._process = multiprocessing.get_context("fork").Process(
             target=run, name=name
         )
-        self._process.start()
+        # Ctrl-C reaches a new process once that takes it for itself: see _be_node.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, signals.ENDING)
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         self.pid = self._process.pid or 0
 
     def poll(self) -> int | None:
@@ -273,6 +278,7 @@ def _be_node(name: str, arguments: Sequence[str], log: Path) -> None:
     for stream in (1, 2):
         os.dup2(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644), stream)
     signals.install(signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, signals.ENDING)
     sys.argv = [name, "--ros-args", *arguments]
     sys.exit(EXECUTABLES[name]())
 
