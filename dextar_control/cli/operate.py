@@ -66,7 +66,7 @@ def _reset_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plant",
         action="store_true",
-        help="put a simulated robot back to its start first",
+        help="also put a simulated robot back to its start, at rest",
     )
     _robot(parser)
 

@@ -20,7 +20,7 @@ from rclpy.utilities import try_shutdown
 from rich.table import Table
 from sensor_msgs.msg import JointState
 
-from dextar_control.contract.errors import DextarError
+from dextar_control.contract.errors import DextarError, NodesError
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.settings import default_settings
@@ -34,7 +34,7 @@ from dextar_control.experiments.bench_stack import (
     bench_panel,
 )
 from dextar_control.experiments.echo import STAMP
-from dextar_control.experiments.processes import NodesError, Processes, node_arguments
+from dextar_control.experiments.processes import Processes, node_arguments
 from dextar_control.model.model import Model
 from dextar_control.nodekit.client import start_ros
 from dextar_control.nodekit.domain import own_domain

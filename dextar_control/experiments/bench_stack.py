@@ -21,10 +21,9 @@ from typing import NamedTuple
 
 from tornado.websocket import websocket_connect
 
-from dextar_control.contract.errors import DextarError
+from dextar_control.contract.errors import DextarError, NodesError
 from dextar_control.contract.topics import JOINT_STATES
 from dextar_control.experiments.processes import (
-    NodesError,
     Processes,
     node_arguments,
     processor_time,

@@ -19,7 +19,12 @@ import numpy as np
 from rich.progress import BarColumn, TimeElapsedColumn
 from std_srvs.srv import SetBool
 
-from dextar_control.contract.errors import BagError, GeometryError, ParameterError
+from dextar_control.contract.errors import (
+    BagError,
+    GeometryError,
+    NodesError,
+    ParameterError,
+)
 from dextar_control.contract.former_names import present_names, renamed_in_words
 from dextar_control.contract.node_parameters import PARAMETERS
 from dextar_control.contract.parameters import check_value
@@ -40,7 +45,7 @@ from dextar_control.control.law import LAWS, law_of
 from dextar_control.control.prepare import prepare
 from dextar_control.estimation.estimator import ESTIMATORS, make_estimator
 from dextar_control.experiments.launch_arguments import PACE
-from dextar_control.experiments.processes import NodesError, Processes, node_arguments
+from dextar_control.experiments.processes import Processes, node_arguments
 from dextar_control.experiments.run_folder import make_run_folder
 from dextar_control.experiments.start_check import check_start, renamed_in_files
 from dextar_control.model.model import Model

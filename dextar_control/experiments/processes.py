@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from dextar_control.contract import signals
-from dextar_control.contract.errors import NodesError as NodesError
+from dextar_control.contract.errors import NodesError
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
 from dextar_control.executables import EXECUTABLES
 

@@ -23,11 +23,11 @@ from rich.progress import BarColumn, TimeRemainingColumn
 from rich.table import Column, Table
 from std_srvs.srv import Trigger
 
+from dextar_control.contract.errors import NodesError
 from dextar_control.contract.signals import EXIT_FAILED, run_command
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 from dextar_control.contract.yaml_text import assignment
 from dextar_control.experiments.processes import (
-    NodesError,
     Processes,
     node_arguments,
     processor_time,

@@ -287,7 +287,7 @@ class ControllerNode(ManagedNode):
         elif diagnosing:
             self._diagnosed = now
             self._situation = self._situation_now()
-        else:
+        elif watching:
             self._watched = now
             self._watch()
 

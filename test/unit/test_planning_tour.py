@@ -73,7 +73,7 @@ def test_a_tour_is_smooth_where_its_pieces_meet(tour: Plan) -> None:
         np.testing.assert_allclose(before.x_ddot, after.x_ddot, atol=1e-4)
 
 
-def test_the_torque_of_a_tour_is_nowhere_much_steeper_than_that_of_a_single_crossing(
+def test_the_torque_of_a_tour_is_nowhere_steep_and_the_certificate_tells_how_steep(
     robot: RobotParameters,
 ) -> None:
     seen = plan_tour(robot, 3, start=np.array([-0.025, 0.115]), duration=0.33)

@@ -24,6 +24,7 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
+from dextar_control.contract.errors import NodesError
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.topics import JOINT_COMMANDS
 from dextar_control.experiments.faults.bag_check import finished
@@ -38,7 +39,6 @@ from dextar_control.experiments.faults.link import (
 )
 from dextar_control.experiments.faults.monitor import parameters
 from dextar_control.experiments.faults.stack import Stack
-from dextar_control.experiments.processes import NodesError
 from dextar_control.nodekit.cdr import NANOSECONDS
 from dextar_control.nodekit.layouts import template
 from dextar_control.nodekit.node import qos

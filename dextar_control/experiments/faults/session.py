@@ -24,7 +24,7 @@ import numpy as np
 from std_srvs.srv import Trigger
 
 from dextar_control.contract import signals
-from dextar_control.contract.errors import DextarError
+from dextar_control.contract.errors import DextarError, NodesError
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.topics import CRITERION_NAMES
@@ -43,7 +43,7 @@ from dextar_control.experiments.faults.judgement import (
 )
 from dextar_control.experiments.faults.monitor import KEPT_COMMANDS
 from dextar_control.experiments.faults.stack import SessionRequest, Stack
-from dextar_control.experiments.processes import MODULES, NodesError
+from dextar_control.experiments.processes import MODULES
 from dextar_control.nodekit.cdr import NANOSECONDS
 from dextar_control.planning.planner import Plan, plan_return_trip
 from dextar_control.symbols.types import Array

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from std_srvs.srv import SetBool, Trigger
 
+from dextar_control.contract.errors import NodesError
 from dextar_control.contract.validation import validate
 from dextar_control.contract.yaml_text import assignment
 from dextar_control.control.phases import Phase
@@ -18,7 +19,7 @@ from dextar_control.experiments.faults.cases import FaultConfig
 from dextar_control.experiments.faults.injector import REMAPPINGS
 from dextar_control.experiments.faults.link import Transport
 from dextar_control.experiments.faults.monitor import StackMonitor
-from dextar_control.experiments.processes import NodesError, Processes, node_arguments
+from dextar_control.experiments.processes import Processes, node_arguments
 from dextar_control.nodekit.cdr import NANOSECONDS
 from dextar_control.nodekit.client import start_ros
 
